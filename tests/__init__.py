@@ -1,0 +1,1 @@
+"""The tests of mapp-twin, one package per part of the project."""

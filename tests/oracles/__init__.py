@@ -1,0 +1,1 @@
+"""Slow reference solvers and instance generators that the tests compare against."""

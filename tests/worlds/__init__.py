@@ -1,0 +1,1 @@
+"""Tests of worlds, floors and radio maps."""
