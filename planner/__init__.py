@@ -1,0 +1,1 @@
+"""Planner: multi-robot association-path planning (MAPP) with proven bounds."""

@@ -1,0 +1,377 @@
+"""The compiled loop of large neighbourhood search; see `planner.improve` for what it does.
+
+All costs are in whole cost units (the search kernel's `scale` is 1), penalties are 0 or `BLOCKED`.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from planner.kernels import BLOCKED, INFINITE, astar
+
+N_STRATEGIES = 4
+RANDOM, WALK, PLACE, AP = range(N_STRATEGIES)
+
+
+class Graph(NamedTuple):
+    """The static graph and the robots, as the kernels read them."""
+
+    horizon: int
+    park: bool
+    n_edges: int
+    arc_ptr: NDArray[np.int32]
+    arc_to: NDArray[np.int32]
+    arc_from: NDArray[np.int32]
+    arc_move: NDArray[np.int32]
+    arc_slots: NDArray[np.int32]
+    arc_cost: NDArray[np.int64]
+    node_vertex: NDArray[np.int32]
+    node_ap: NDArray[np.int32]
+    cost_to_go: NDArray[np.int64]  # (N, n)
+    slots_to_go: NDArray[np.int32]  # (N, n)
+    start_ptr: NDArray[np.int64]
+    start_nodes: NDArray[np.int32]
+    goal_ptr: NDArray[np.int64]
+    goal_nodes: NDArray[np.int32]
+    latest: NDArray[np.int32]  # (N,) slot by which each must arrive
+    ap_capacity: NDArray[np.int32]
+    least_cost: NDArray[np.int64]  # (N,) alone on the floor
+    no_use: NDArray[np.int32]
+    nothing_forbidden: NDArray[np.bool_]
+    no_arrival: NDArray[np.int64]  # (0,) no penalty on arriving
+
+
+class Fleet(NamedTuple):
+    """The plan being improved and what it occupies; all arrays are changed in place."""
+
+    arcs: NDArray[np.int32]  # (N, T) arc taken from each slot, repeated while it lasts
+    first: NDArray[np.int32]  # (N,) node in slot 0
+    arrival: NDArray[np.int64]  # (N,) slot, -1 for robots without a path
+    cost: NDArray[np.int64]  # (N,) cost, `unserved_cost` for robots without a path
+    node_at: NDArray[np.int32]  # (N, T+1) node in each slot (left last amid an edge), -1 if none
+    at_vertex: NDArray[np.int32]  # (T+1, V) robot there, -1 if none
+    on_edge: NDArray[np.int32]  # (T, E)
+    ap_load: NDArray[np.int32]  # (T+1, A)
+    pv: NDArray[np.int64]
+    pm: NDArray[np.int64]
+    pa: NDArray[np.int64]
+
+
+class Workspace(NamedTuple):
+    """Scratch arrays of the search kernel and of one neighbourhood."""
+
+    g: NDArray[np.int64]
+    ties: NDArray[np.int64]
+    parent: NDArray[np.int32]
+    stamp: NDArray[np.int64]
+    now: NDArray[np.int64]  # (1,)
+    path: NDArray[np.int32]
+    old_arcs: NDArray[np.int32]
+    old_first: NDArray[np.int32]
+    old_arrival: NDArray[np.int64]
+    old_cost: NDArray[np.int64]
+
+
+@njit(cache=True, nogil=True)
+def _serve(graph, fleet, i, t, node, add):
+    a = graph.node_ap[node]
+    fleet.ap_load[t, a] += 1 if add else -1
+    fleet.pa[t, a] = BLOCKED if fleet.ap_load[t, a] >= graph.ap_capacity[a] else 0
+    fleet.node_at[i, t] = node if add else -1
+
+
+@njit(cache=True, nogil=True)
+def _stand(graph, fleet, i, t, node, add):
+    v = graph.node_vertex[node]
+    fleet.at_vertex[t, v] = i if add else -1
+    fleet.pv[t, v] = BLOCKED if add else 0
+
+
+@njit(cache=True, nogil=True)
+def occupy(graph, fleet, i, add):
+    """Adds the path of robot i to what is occupied, or takes it away."""
+    tau = fleet.arrival[i]
+    if tau < 0:
+        return
+    node = fleet.first[i]
+    _serve(graph, fleet, i, 0, node, add)
+    t = 0
+    while t < tau:
+        arc = fleet.arcs[i, t]
+        k = graph.arc_slots[arc]
+        move = graph.arc_move[arc]
+        if move < 2 * graph.n_edges:
+            e = move >> 1
+            for j in range(t, t + k):
+                fleet.on_edge[j, e] = i if add else -1
+                fleet.pm[j, 2 * e] = BLOCKED if add else 0
+                fleet.pm[j, 2 * e + 1] = BLOCKED if add else 0
+        for j in range(t + 1, t + k):
+            _serve(graph, fleet, i, j, node, add)
+        t += k
+        node = graph.arc_to[arc]
+        _serve(graph, fleet, i, t, node, add)
+        _stand(graph, fleet, i, t, node, add)
+    if graph.park:
+        for j in range(tau + 1, graph.horizon + 1):
+            _serve(graph, fleet, i, j, node, add)
+            _stand(graph, fleet, i, j, node, add)
+
+
+@njit(cache=True, nogil=True)
+def plan_robot(graph, fleet, work, i, limit):
+    """Plans robot i around all others; True and its new path in the fleet if one costs < limit."""
+    work.now[0] += 1
+    cost, tau, first = astar(
+        graph.horizon,
+        graph.arc_ptr,
+        graph.arc_to,
+        graph.arc_from,
+        graph.arc_move,
+        graph.arc_slots,
+        graph.arc_cost,
+        graph.node_vertex,
+        graph.node_ap,
+        graph.cost_to_go[i],
+        graph.slots_to_go[i],
+        graph.start_nodes[graph.start_ptr[i] : graph.start_ptr[i + 1]],
+        graph.goal_nodes[graph.goal_ptr[i] : graph.goal_ptr[i + 1]],
+        1,
+        fleet.pv,
+        fleet.pm,
+        fleet.pa,
+        graph.no_use,
+        graph.nothing_forbidden,
+        graph.park,
+        0,
+        graph.latest[i],
+        graph.no_arrival,
+        limit,
+        work.g,
+        work.ties,
+        work.parent,
+        work.stamp,
+        work.now[0],
+        work.path,
+    )
+    if tau < 0:
+        return False
+    fleet.arrival[i] = tau
+    fleet.first[i] = first
+    fleet.cost[i] = cost
+    fleet.arcs[i, :tau] = work.path[:tau]
+    return True
+
+
+@njit(cache=True, nogil=True)
+def _include(members, size, wanted, i):
+    if i < 0 or size >= wanted:
+        return size
+    for k in range(size):
+        if members[k] == i:
+            return size
+    members[size] = i
+    return size + 1
+
+
+@njit(cache=True, nogil=True)
+def _one_served_by(graph, fleet, t, a, rng):
+    """A random robot served by AP a in slot t, -1 if none."""
+    chosen, seen = -1, 0
+    for i in range(len(fleet.arrival)):
+        node = fleet.node_at[i, t]
+        if node >= 0 and graph.node_ap[node] == a:
+            seen += 1
+            if rng.random() * seen < 1.0:
+                chosen = i
+    return chosen
+
+
+@njit(cache=True, nogil=True)
+def _random_walk(graph, fleet, i, members, size, wanted, rng):
+    """Who stands in the way of robot i where it could be cheaper: random walks off its path."""
+    for _ in range(10 * wanted):
+        if size >= wanted:
+            break
+        # Start anywhere on its path; a robot without one starts at its origin.
+        if fleet.arrival[i] > 0:
+            t_start = int(rng.random() * fleet.arrival[i])
+            t, node, cost = 0, fleet.first[i], 0
+            while t < t_start:
+                arc = fleet.arcs[i, t]
+                t += graph.arc_slots[arc]
+                node = graph.arc_to[arc]
+                cost += graph.arc_cost[arc]
+        else:
+            choices = graph.start_ptr[i + 1] - graph.start_ptr[i]
+            t, cost = 0, 0
+            node = graph.start_nodes[graph.start_ptr[i] + int(rng.random() * choices)]
+        while t < graph.horizon and size < wanted:
+            # A uniformly random arc that may still lead to a cheaper path in time.
+            chosen, seen = -1, 0
+            for arc in range(graph.arc_ptr[node], graph.arc_ptr[node + 1]):
+                m = graph.arc_to[arc]
+                if (
+                    cost + graph.arc_cost[arc] + graph.cost_to_go[i, m] < fleet.cost[i]
+                    and t + graph.arc_slots[arc] + graph.slots_to_go[i, m] <= graph.horizon
+                ):
+                    seen += 1
+                    if rng.random() * seen < 1.0:
+                        chosen = arc
+            if chosen < 0:
+                break
+            move, k, m = graph.arc_move[chosen], graph.arc_slots[chosen], graph.arc_to[chosen]
+            if move < 2 * graph.n_edges:
+                for j in range(t, t + k):
+                    size = _include(members, size, wanted, fleet.on_edge[j, move >> 1])
+            size = _include(members, size, wanted, fleet.at_vertex[t + k, graph.node_vertex[m]])
+            a = graph.node_ap[m]
+            if fleet.ap_load[t + k, a] >= graph.ap_capacity[a]:
+                blocker = _one_served_by(graph, fleet, t + k, a, rng)
+                size = _include(members, size, wanted, blocker)
+            t += k
+            cost += graph.arc_cost[chosen]
+            node = m
+            if cost + graph.cost_to_go[i, node] >= fleet.cost[i]:
+                break
+    return size
+
+
+@njit(cache=True, nogil=True)
+def _around_place(graph, fleet, i, members, size, wanted, rng):
+    """Robots that pass a place on the path of robot i, or next to it, at about the same time."""
+    if fleet.arrival[i] <= 0:
+        return size
+    t0 = int(rng.random() * (fleet.arrival[i] + 1))
+    centre = fleet.node_at[i, t0]
+    for away in range(graph.horizon + 1):
+        for side in (-1, 1):
+            t = t0 + side * away
+            if t < 1 or t > graph.horizon or size >= wanted:
+                continue
+            size = _include(members, size, wanted, fleet.at_vertex[t, graph.node_vertex[centre]])
+            for arc in range(graph.arc_ptr[centre], graph.arc_ptr[centre + 1]):
+                v = graph.node_vertex[graph.arc_to[arc]]
+                size = _include(members, size, wanted, fleet.at_vertex[t, v])
+        if size >= wanted:
+            break
+    return size
+
+
+@njit(cache=True, nogil=True)
+def _choose(graph, fleet, strategy, seed_robot, members, wanted, rng):
+    """Fills `members` with a neighbourhood; returns its size."""
+    n = len(fleet.arrival)
+    size = _include(members, 0, wanted, seed_robot)
+    if strategy == WALK:
+        size = _random_walk(graph, fleet, seed_robot, members, size, wanted, rng)
+    elif strategy == PLACE:
+        size = _around_place(graph, fleet, seed_robot, members, size, wanted, rng)
+    elif strategy == AP and fleet.arrival[seed_robot] >= 0:
+        t = int(rng.random() * (fleet.arrival[seed_robot] + 1))
+        a = graph.node_ap[fleet.node_at[seed_robot, t]]
+        for _ in range(3 * wanted):
+            size = _include(members, size, wanted, _one_served_by(graph, fleet, t, a, rng))
+    tries = 0
+    while size < min(wanted, n) and (strategy == RANDOM or size < 2) and tries < 8 * wanted:
+        size = _include(members, size, wanted, int(rng.random() * n))
+        tries += 1
+    return size
+
+
+@njit(cache=True, nogil=True)
+def improve(graph, fleet, work, iterations, max_size, unserved_cost, weights, tabu, rng):
+    """Tries `iterations` neighbourhoods; the fleet only ever gets cheaper or stays as cheap.
+
+    Args:
+        graph, fleet, work: see their types.
+        iterations: neighbourhoods to try.
+        max_size: robots in a neighbourhood, at most.
+        unserved_cost: what a robot without a path counts: more than all paths together.
+        weights: (N_STRATEGIES,) float64, adapted to what helped.
+        tabu: (N,) int64, how often a robot was the seed since its cost last fell.
+        rng: numpy Generator.
+
+    Returns:
+        Number of neighbourhoods that lowered the cost.
+    """
+    n = len(fleet.arrival)
+    # For the choices below a robot without a path counts as the dearest path, not as all of them.
+    dearest = unserved_cost // n + 1
+    members = np.empty(max_size, np.int64)
+    successes = 0
+    for _ in range(iterations):
+        # Strategy by roulette.
+        pick = rng.random() * weights.sum()
+        strategy = 0
+        while strategy < N_STRATEGIES - 1 and pick >= weights[strategy]:
+            pick -= weights[strategy]
+            strategy += 1
+        # Seed: the robot farthest above its least cost per try so far, or any robot.
+        seed_robot = int(rng.random() * n)
+        if strategy == WALK:
+            best = -1.0
+            for i in range(n):
+                worth = (min(fleet.cost[i], dearest) - graph.least_cost[i]) / (1.0 + tabu[i])
+                if worth > best:
+                    best, seed_robot = worth, i
+            tabu[seed_robot] += 1
+        wanted = 2 + int(rng.random() * (max_size - 1))
+        size = _choose(graph, fleet, strategy, seed_robot, members, wanted, rng)
+        # Take them out, in random order.
+        before = 0
+        floor_cost = 0
+        for k in range(size - 1, 0, -1):
+            j = int(rng.random() * (k + 1))
+            members[k], members[j] = members[j], members[k]
+        for k in range(size):
+            i = members[k]
+            before += fleet.cost[i]
+            floor_cost += graph.least_cost[i]
+            occupy(graph, fleet, i, False)
+            work.old_arcs[k] = fleet.arcs[i]
+            work.old_first[k] = fleet.first[i]
+            work.old_arrival[k] = fleet.arrival[i]
+            work.old_cost[k] = fleet.cost[i]
+        # Put them back one by one, as long as the sum can still be no worse.
+        after = 0
+        planned = 0
+        for k in range(size):
+            i = members[k]
+            floor_cost -= graph.least_cost[i]
+            room = before - after - floor_cost
+            if plan_robot(graph, fleet, work, i, min(room + 1, unserved_cost)):
+                occupy(graph, fleet, i, True)
+            elif room >= unserved_cost:
+                fleet.arrival[i] = -1
+                fleet.cost[i] = unserved_cost
+            else:
+                break
+            after += fleet.cost[i]
+            planned += 1
+        gain = before - after
+        if planned < size:
+            gain = 0
+            for k in range(planned):
+                occupy(graph, fleet, members[k], False)
+            for k in range(size):
+                i = members[k]
+                fleet.arcs[i] = work.old_arcs[k]
+                fleet.first[i] = work.old_first[k]
+                fleet.arrival[i] = work.old_arrival[k]
+                fleet.cost[i] = work.old_cost[k]
+                occupy(graph, fleet, i, True)
+        elif gain > 0:
+            successes += 1
+            for k in range(size):
+                tabu[members[k]] = 0
+        worth = min(gain, dearest) / max(size, 1)
+        weights[strategy] = max(0.99 * weights[strategy] + 0.01 * worth, 0.02)
+    return successes
+
+
+__all__ = ["INFINITE", "Fleet", "Graph", "Workspace", "improve", "occupy", "plan_robot"]

@@ -1,0 +1,1 @@
+"""Tests of the planner: problem and plan files, checker, solver."""
