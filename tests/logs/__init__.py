@@ -1,0 +1,1 @@
+"""Tests of run logs: records, MCAP files, validation."""
