@@ -18,7 +18,7 @@ lint: $(STAMP)
 	$(BIN)/mypy
 
 bench: $(STAMP)
-	$(BIN)/python -m benchmarks
+	$(BIN)/python -m benchmarks run -o benchmarks.json
 
 $(STAMP): pyproject.toml
 	$(PYTHON) -m venv $(VENV)

@@ -21,6 +21,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.patheffects import withStroke
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from logs.foxglove import ap_color
@@ -75,9 +76,8 @@ def congestion_figure(problem: Problem, plan: Plan, hall: Hall | None = None) ->
     height = map_h + below + 0.6 + 0.19 * len(title)
     figure = Figure(figsize=(map_w + 4.1, height), layout="constrained")
     FigureCanvasAgg(figure)
-    grid = figure.add_gridspec(
-        1 + bool(shown), max(1, len(shown)), height_ratios=(map_h, below)[: 1 + bool(shown)]
-    )
+    heights = (map_h, below) if shown else (map_h,)
+    grid = figure.add_gridspec(len(heights), max(1, len(shown)), height_ratios=heights)
     ax = figure.add_subplot(grid[0, :])
     norm = Normalize(0.0, max(_dearest(prices), 1e-9))
     _draw_map(ax, problem, prices, norm, hall)
@@ -139,7 +139,8 @@ def _draw_map(
     )
     order = [v for v in np.argsort(vertex, kind="stable") if vertex[v] > 0]
     ax.scatter(
-        *xy[order].T,
+        xy[order, 0],
+        xy[order, 1],
         c=vertex[order],
         s=_LEAST_PT2 + (_MOST_PT2 - _LEAST_PT2) * norm(vertex[order]),
         cmap=_colours(),
@@ -253,8 +254,8 @@ def _draw_over_time(axes: list[Axes], problem: Problem, prices: Prices) -> None:
         ax.set_title(f"{problem.ap_ids[a]} (m = {problem.ap_capacity[a]})", size=10)
         ax.set_xlabel("slot")
         ax.set_xlim(-0.7, last + max(2, 0.05 * last))
-        ax.set_ylim(bottom=0)
-        ax.xaxis.get_major_locator().set_params(integer=True)
+        ax.set_ylim(0, 1.05 * table[:, shown].max())
+        ax.xaxis.set_major_locator(MaxNLocator(integer=True))
         ax.spines[["top", "right"]].set_visible(False)
     axes[0].set_ylabel(f"price in the slot\n[{prices.unit}]")
 
@@ -293,7 +294,7 @@ def _map_size(span_m: NDArray[np.float64]) -> tuple[float, float]:
 def _title(problem: Problem, plan: Plan, prices: Prices) -> list[str]:
     """What was planned, what is proven, and the advice, line by line."""
     name = problem.name or "problem"
-    proof = f"prices that prove: no plan costs less than {plan.lower_bound:.10g}"
+    proof = f"prices that prove: no plan costs less than {math.ceil(prices.bound - 1e-9)}"
     proof += f" (this one: {plan.cost})" if not plan.unserved else ""
     robots = f"{name}: what room is worth to {problem.n_robots} robots"
     return [robots, proof, *prices.advice.split("; ")]

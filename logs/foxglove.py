@@ -31,12 +31,14 @@ from foxglove_schemas_protobuf.TextPrimitive_pb2 import TextPrimitive
 from foxglove_schemas_protobuf.Vector2_pb2 import Vector2
 from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 from google.protobuf.timestamp_pb2 import Timestamp
+from numpy.typing import NDArray
 
 from logs.records import Arrival, Handover, Incident, Record, RunEnd, RunStart
 from planner.plan import Path, Plan
+from planner.prices import Prices
 from planner.problem import Problem
 from worlds.floor import Floor
-from worlds.radio_map import RadioMap
+from worlds.radio_map import RadioMap, kept_vertices
 from worlds.world import World
 
 WORLD_FRAME = "world"
@@ -52,6 +54,9 @@ HANDOVER_COLOR = "#e6e6e6"
 NO_POSITION_DB = -1000.0
 """Value of cells without a free position: below any colour range (shaders differ on NaN)."""
 COVERAGE_HEIGHT_M = 0.02
+NO_POSITION_PRICE = -1.0
+"""Price of cells without a position of the problem: below that of free ones, which is 0."""
+CONGESTION_HEIGHT_M = 0.025
 PATH_HEIGHT_M = 0.05
 
 Xyz = tuple[float, float, float]
@@ -255,15 +260,31 @@ def coverage_grid(floor: Floor, radio_map: RadioMap) -> Grid:
     cells = np.full((floor.rows, floor.columns), NO_POSITION_DB, dtype="<f4")
     columns, rows = floor.vertex_cell.T
     cells[rows, columns] = radio_map.snr_db.max(axis=1, initial=NO_POSITION_DB)
+    return _grid(floor, cells, "snr_db", COVERAGE_HEIGHT_M)
+
+
+def congestion_grid(floor: Floor, radio_map: RadioMap, problem: Problem, prices: Prices) -> Grid:
+    """Price of every position, half of those of its ways included [slots, or cost units].
+
+    `NO_POSITION_PRICE` where the problem has no position.
+    """
+    cells = np.full((floor.rows, floor.columns), NO_POSITION_PRICE, dtype="<f4")
+    columns, rows = floor.vertex_cell[kept_vertices(radio_map)].T
+    cells[rows, columns] = prices.in_units(prices.around(problem.edge_uv))
+    return _grid(floor, cells, "price", CONGESTION_HEIGHT_M)
+
+
+def _grid(floor: Floor, cells: NDArray[np.float32], field: str, height_m: float) -> Grid:
+    """One little-endian float32 per position of the grid; row 0 is that of the least y."""
     x, y = (c - floor.pitch_m / 2 for c in grid_origin(floor))
     return Grid(
         frame_id=WORLD_FRAME,
-        pose=_pose((x, y, COVERAGE_HEIGHT_M)),
+        pose=_pose((x, y, height_m)),
         column_count=floor.columns,
         cell_size=Vector2(x=floor.pitch_m, y=floor.pitch_m),
         row_stride=4 * floor.columns,
         cell_stride=4,
-        fields=[PackedElementField(name="snr_db", offset=0, type=PackedElementField.FLOAT32)],
+        fields=[PackedElementField(name=field, offset=0, type=PackedElementField.FLOAT32)],
         data=cells.tobytes(),
     )
 

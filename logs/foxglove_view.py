@@ -40,6 +40,7 @@ from logs.foxglove import (
     Xyz,
     ap_color,
     ap_positions,
+    congestion_grid,
     coverage_grid,
     log_line,
     plan_scene,
@@ -68,11 +69,15 @@ TOPICS: dict[str, Any] = {
     "/scene/static": SceneUpdate,
     "/scene/plan": SceneUpdate,
     "/radio/coverage": Grid,
+    "/radio/congestion": Grid,
     "/scene/robots": SceneUpdate,
     "/scene/links": SceneUpdate,
     "/log": Log,
 }
-"""Topic → message class, in the order in which messages of one instant are written."""
+"""Topic → message class, in the order in which messages of one instant are written.
+
+`/radio/congestion` is there only if the plan has prices (`View.topics`).
+"""
 
 Out = tuple[str, int, bytes]
 """(topic, log time [ns], bytes of the message)."""
@@ -99,11 +104,17 @@ class View:
                     " something else"
                 )
         self._world = world
-        self._statics = (
+        self._statics = [
             ("/scene/static", static_scene(world, floor, problem)),
             ("/scene/plan", plan_scene(problem, plan)),
             ("/radio/coverage", coverage_grid(floor, radio_map)),
-        )
+        ]
+        self.topics = dict(TOPICS)
+        if plan.prices is not None:
+            congestion = congestion_grid(floor, radio_map, problem, plan.prices)
+            self._statics.append(("/radio/congestion", congestion))
+        else:
+            del self.topics["/radio/congestion"]
         self._bodies = [robot_body(world, name) for name in problem.robot_ids]
         self._fleet = SceneUpdate()
         self._transforms = _Transforms(problem.robot_ids)

@@ -15,6 +15,7 @@ from typing import Any
 
 from logs.foxglove import AP_COLORS, OUTAGE_COLOR, WORLD_FRAME, ap_color
 from logs.records import ApLoad, Incident, Kpi, RobotState
+from planner.prices import Prices
 from planner.problem import Problem
 from worlds.radio_map import RadioMap
 from worlds.world import World
@@ -28,6 +29,9 @@ COVERAGE_COLORS = ("#0b1d33d9", "#bfe3f0d9")
 """At and below the threshold, and at the highest SNR: only the lightness varies, the hues are the
 APs' (`logs.foxglove.AP_COLORS`)."""
 
+CONGESTION_COLORS = ("#fff3c400", "#b34700f2")
+"""At price 0, invisible, and at the highest price."""
+
 Json = dict[str, Any]
 
 _FIELD_OF_VIEW_DEG = 45.0
@@ -35,11 +39,13 @@ _TILT_DEG = 35.0  # of the camera from the vertical
 _FILL = 0.9  # share of the view that the hall takes up
 
 
-def build_layout(world: World, problem: Problem, radio_map: RadioMap) -> Json:
-    """The layout of a run of this world."""
+def build_layout(
+    world: World, problem: Problem, radio_map: RadioMap, prices: Prices | None = None
+) -> Json:
+    """The layout of a run of this world; `prices` are those of its plan, if it has any."""
     associations = _associations(problem.robot_ids)
     panels: Json = {
-        "3D!hall": _hall(world, radio_map),
+        "3D!hall": _hall(world, radio_map, _congestion(problem, prices)),
         "Plot!load": _load_plot(problem),
         **associations,
         "Plot!service": _plot(
@@ -89,7 +95,7 @@ def message_path(topic: str, field: str) -> str:
     return f"{topic}.{field}"
 
 
-def _hall(world: World, radio_map: RadioMap) -> Json:
+def _hall(world: World, radio_map: RadioMap, congestion: Json) -> Json:
     width, depth = world.hall.size_m
     # The near edge decides: it fills `_FILL` of the view, which is about as wide as it is high.
     tilt = math.radians(_TILT_DEG)
@@ -128,7 +134,25 @@ def _hall(world: World, radio_map: RadioMap) -> Json:
                 "minValue": radio_map.threshold_db,
                 "maxValue": _highest_snr(radio_map),
             },
+            **congestion,
         },
+    }
+
+
+def _congestion(problem: Problem, prices: Prices | None) -> Json:
+    """Settings of the prices' topic: nothing is drawn where the price is 0."""
+    if prices is None:
+        return {}
+    highest = float(prices.in_units(prices.around(problem.edge_uv)).max(initial=0.0))
+    return {
+        "/radio/congestion": {
+            "visible": highest > 0,
+            "colorField": "price",
+            "colorMode": "gradient",
+            "gradient": list(CONGESTION_COLORS),
+            "minValue": 0,
+            "maxValue": highest or 1.0,
+        }
     }
 
 

@@ -23,7 +23,7 @@ from mcap.writer import CompressionType, Writer
 from mcap_protobuf.schema import build_file_descriptor_set
 
 from logs.errors import LogError
-from logs.foxglove_view import TOPICS, View
+from logs.foxglove_view import View
 from logs.layout import build_layout, dump_layout
 from logs.mcap_format import (
     ATTACHMENTS,
@@ -109,7 +109,7 @@ class RunLog:
                     )
         self._inputs = (world, radio_map, problem, plan)
         self._view = View(world, floor, radio_map, problem, plan)
-        self._layout = dump_layout(build_layout(world, problem, radio_map))
+        self._layout = dump_layout(build_layout(world, problem, radio_map, plan.prices))
         self._robots, self._aps = problem.robot_ids, problem.ap_ids
         self._file: BinaryIO | None = None
         self._channels: dict[str, int] = {}
@@ -200,7 +200,7 @@ class RunLog:
             for name in names if "{" in topic else [topic]:
                 self._channel(name, schema)
         schemas: dict[str, int] = {}
-        for topic, message_class in TOPICS.items():
+        for topic, message_class in self._view.topics.items():
             full_name = message_class.DESCRIPTOR.full_name
             if full_name not in schemas:
                 files = build_file_descriptor_set(message_class)

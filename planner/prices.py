@@ -173,8 +173,13 @@ def _aisles(problem: Problem, prices: Prices) -> Iterable[Shortage]:
         axis, vertices, edges = lines.pop(best)
         ends = [(v,) for v in vertices if vertex[v] > 0]
         ends += [tuple(problem.edge_uv[e].tolist()) for e in edges if edge[e] > 0]
-        name = stretch_name(problem, axis, sorted({v for pair in ends for v in pair}))
-        yield Shortage("aisle", name, float(price[best]), vertices, edges)
+        span = sorted({v for pair in ends for v in pair})
+        if len(span) > 1:
+            name = stretch_name(problem, axis, span)
+            yield Shortage("aisle", name, float(price[best]), vertices, edges)
+        else:
+            name = f"position {place(problem, span[0])}"
+            yield Shortage("place", name, float(price[best]), tuple(span))
         vertex[list(vertices)] = 0.0
         edge[list(edges)] = 0.0
     for v in np.flatnonzero(vertex > 0).tolist():
@@ -221,7 +226,7 @@ def advice_of(problem: Problem, prices: Prices) -> str:
     ]
     parts += [
         f"{s.name} costs {_rounded_up(s, prices)} {unit}"
-        + (" (what a second lane could save at most)" if k == 0 else "")
+        + (" (what a lane more there could save at most)" if k == 0 else "")
         for k, s in enumerate(places)
     ]
     if not aps:

@@ -14,7 +14,13 @@ from planner.expanded_graph import ExpandedGraph
 from planner.improve import LargeNeighbourhoodSearch
 from planner.least_prices import least_penalties
 from planner.master import Master
-from planner.pgcp import PgcpState, artificial_cost, generate_paths, pgcp
+from planner.pgcp import (
+    PgcpState,
+    artificial_cost,
+    cooperative_pruning,
+    generate_paths,
+    pgcp,
+)
 from planner.phase_one import prove_infeasible
 from planner.plan import Path, Plan
 from planner.prices import Prices, prices_of
@@ -130,10 +136,14 @@ class _Solver:
             return False
         return self.cost - self.rounded_bound() <= self.params.gap * max(self.rounded_bound(), 0)
 
+    def cost_of(self, paths: list[Path | None]) -> int:
+        """Cost of the paths there are (§1.9)."""
+        problem = self.problem
+        return sum(problem.c_t * p.arrival + problem.c_h * p.handovers for p in paths if p)
+
     def offer(self, paths: list[Path | None]) -> None:
         """Takes a plan if it serves more robots, or as many for less."""
-        problem = self.problem
-        cost = sum(problem.c_t * p.arrival + problem.c_h * p.handovers for p in paths if p)
+        cost = self.cost_of(paths)
         served, best = sum(p is not None for p in paths), sum(p is not None for p in self.paths)
         if served > best or (served == best and cost < self.cost):
             self.paths, self.cost = list(paths), cost
@@ -217,6 +227,7 @@ class _Solver:
                 if self.params.method == "exact" or self.params.time_limit is not None:
                     self.run_exact(search, resources)
                 self.paths = tidy(resources, self.paths)
+                self.cost = self.cost_of(self.paths)  # it may have saved a handover
         if any(p is None for p in self.paths) and self.params.method != "cooperative":
             return self.decide(search, resources)
         return self.plan(message="" if all(self.paths) else "some robots found no way")
@@ -262,6 +273,12 @@ class _Solver:
         self.count(state)
         self.lap("path_generation", since)
         self.improve(neighbourhoods, self.params.iterations - first)
+        if any(p is None for p in self.paths) and not self.out_of_time():
+            # Where robots must plan for each other at once, one-by-one repair does not get there;
+            # the LP's columns do.
+            since = time.perf_counter()
+            self.offer(cooperative_pruning(state, stop=lambda _state: self.out_of_time()))
+            self.lap("cooperative_pruning", since)
 
     def run_exact(self, search: Search, resources: Resources) -> None:
         """The tree search, until the plan is good enough or a limit is met."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from scipy.optimize import LinearConstraint, linprog, milp
@@ -177,11 +179,15 @@ def test_zero_capacity_is_a_row_too() -> None:
     assert master.solve().value == pytest.approx(2.0)
 
 
-@pytest.mark.parametrize("seed", [*SEEDS, *HALLS])
+CHOICES = [11, 22, 44, 51, 75, 77, 148, 165, 175, 231, 276, 280]
+"""Here the first column tried is not the best one; in 77 and 231 not by little."""
+
+
+@pytest.mark.parametrize("seed", [*CHOICES, *range(8), HALLS[0]])
 def test_milp_of_one_robot(seed: int) -> None:
     """Section IV-C: the column chosen for a robot is that of an optimal MILP, robot after robot."""
-    problem = problem_of(seed)
-    master = filled(problem, some_paths(problem, seed, 30 if seed >= 0 else 150))
+    problem = dataclasses.replace(problem_of(seed), objective="costs", c_t=1, c_h=1)
+    master = filled(problem, some_paths(problem, seed, 30 if seed >= 0 else 100))
     deleted = np.zeros(len(master.columns), bool)
     one = np.ones(problem.n_robots)
     for robot in range(problem.n_robots):

@@ -73,6 +73,24 @@ def test_answer_is_sound(seed: int, method: Method) -> None:
     assert bool(plan.message) == (plan.status in {"infeasible", "unknown"})
 
 
+@functools.cache
+def by_tree_search(seed: int) -> Plan:
+    """The tree search's answer within few nodes."""
+    return solve(tiny_problem(seed), params("exact", nodes=60))
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_tree_search_is_sound(seed: int) -> None:
+    """§1.12, §1.13: whatever the tree search proves within its nodes is so."""
+    assert_sound(tiny_problem(seed), by_tree_search(seed), exact(seed))
+
+
+def test_tree_search_decides() -> None:
+    """§1.12: nearly every tiny problem is decided within few nodes: an optimum, or that none is."""
+    statuses = [by_tree_search(seed).status for seed in SEEDS]
+    assert statuses.count("unknown") + statuses.count("feasible") <= 3
+
+
 def test_every_case_was_among_them() -> None:
     """The tiny problems above make the planner give each of its answers, mostly conclusive ones."""
     problems = [tiny_problem(seed) for seed in SEEDS]
@@ -222,13 +240,15 @@ def test_swap_in_a_dead_end_corridor(length: int, horizon: int, method: Method) 
     """§1.2, §1.3: two robots that must swap in a corridor never get a plan, however much time.
 
     The relaxation lets them through by halves, so "unknown" is an honest answer where there is
-    more time than the way takes.
+    more time than the way takes; the tree search proves it.
     """
     problem = grid(length, 1, [(0, length - 1), (length - 1, 0)], horizon=horizon)
     plan = solve(problem, params(method))
     assert plan.status in {"infeasible", "unknown"}
     assert plan.unserved
     assert check_plan(problem, plan) == []
+    if horizon <= 12:
+        assert solve(problem, params("exact", nodes=100)).status == "infeasible"
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -236,13 +256,15 @@ def test_swap_past_a_pocket(method: Method) -> None:
     """§1.2: both must leave their shortest ways; whatever is answered, no rule and no bound breaks.
 
     No order of the robots solves this by planning one after the other, so the answer may be
-    "unknown"; it may not be "infeasible".
+    "unknown"; it may not be "infeasible". The tree search finds the plan.
     """
     pocket = [(0, 1), (1, 2), (1, 4)]
     problem = grid(3, 2, [(0, 2), (2, 0)], edge_uv=pocket, n_aps=1)
     truth = solve_arcflow(problem)
     assert truth.cost == 7
     assert_sound(problem, solve(problem, params(method)), truth)
+    plan = solve(problem, params("exact", nodes=500))
+    assert (plan.status, plan.cost) == ("optimal", 7)
 
 
 def test_lost_robots_are_named() -> None:

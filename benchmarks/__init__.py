@@ -1,0 +1,1 @@
+"""Benchmarks of the planner: a registry of instances and phases, JSON results, comparisons."""

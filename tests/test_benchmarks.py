@@ -1,0 +1,41 @@
+"""The benchmarks keep running; what they time is not judged here."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from benchmarks.__main__ import app
+
+
+def _run(*arguments: str) -> str:
+    result = CliRunner().invoke(app, list(arguments))
+    assert result.exit_code == 0, result.output
+    return result.output
+
+
+def test_smoke_run_compares_with_itself(tmp_path: Path) -> None:
+    """Every phase gives figures for a tiny case, the literal Algorithm 1 the same LP value."""
+    out = tmp_path / "results.json"
+    phases = ["path_generation", "yardstick", "cooperative", "pgcp", "auto", "decoupled"]
+    chosen = [word for phase in phases for word in ("--phase", phase)]
+    _run("run", "--smoke", "--family", "paper_hall", *chosen, "-o", str(out))
+    rows = {row["phase"]: row for row in json.loads(out.read_text())["rows"]}
+    assert set(rows) == set(phases)
+    lp_value = rows["yardstick"]["lp_value"]
+    assert rows["path_generation"]["lp_value"] == pytest.approx(lp_value, abs=1e-6)
+    assert rows["auto"]["served_share"] == 1.0
+    assert "× " in _run("compare", str(out), str(out))
+    picture = tmp_path / "results.png"
+    _run("plot", str(out), "-o", str(picture))
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_unknown_names_are_refused() -> None:
+    """A family or phase that does not exist is answered with those that do."""
+    result = CliRunner().invoke(app, ["run", "--family", "paper"])
+    assert result.exit_code == 2
+    assert "paper_hall" in result.output

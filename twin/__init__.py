@@ -1,0 +1,1 @@
+"""Twin: the discrete-event execution of a plan, and the `twin` command."""
