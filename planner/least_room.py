@@ -28,7 +28,9 @@ Decide = Callable[[Problem], bool | None]
 RESTARTS = 10
 BATCH = 100
 FEW = 10
-"""Up to so many robots `solve` is asked where nothing else decides."""
+"""Up to so many robots the tree search is asked where nothing else decides."""
+NODES = 300
+"""Of its tree, at most."""
 ANY_GAP = 1e12
 """With a gap of this size `solve` ends with the first plan for all robots."""
 
@@ -59,7 +61,7 @@ class Decider:
     """Says whether problems of one family (horizon and capacities vary) have a plan.
 
     Cheap ways first: robots alone, cooperative A* over several orders, a short neighbourhood
-    search, the phase-1 proof (§1.12), a longer search; for few robots, `solve` with all it has.
+    search, the phase-1 proof (§1.12), a longer search; for few robots, the exact tree search.
     Where the relaxation has a solution it has one with more slots or room too, so no proof is
     looked for there again. Deterministic by seed and iterations unless stopped.
 
@@ -99,7 +101,10 @@ class Decider:
                 return False
         if problem.n_robots > FEW or self.stop():
             return None
-        status = solve(problem, SolveParams(seed=self.seed, gap=ANY_GAP)).status
+        params = SolveParams(
+            method="exact", seed=self.seed, iterations=self.iterations, nodes=NODES, gap=ANY_GAP
+        )
+        status = solve(problem, params).status
         return {"optimal": True, "feasible": True, "infeasible": False}.get(status)
 
     def is_refuted(

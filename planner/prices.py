@@ -216,16 +216,15 @@ def advice_of(problem: Problem, prices: Prices) -> str:
     found = shortages(problem, prices)
     if not found:
         return "no shortage: what the fleet costs at least is what each robot costs alone"
-    unit = prices.unit
     aps = _worth_naming([s for s in found if s.kind == "ap"])
     places = _worth_naming([s for s in found if s.kind != "ap"])
     parts = [
-        f"{s.name}'s capacity costs {_rounded_up(s, prices)} {unit}"
+        f"{s.name}'s capacity costs {_rounded_up(s, prices)}"
         + (" (what one place more could save at most)" if k == 0 else "")
         for k, s in enumerate(aps)
     ]
     parts += [
-        f"{s.name} costs {_rounded_up(s, prices)} {unit}"
+        f"{s.name} costs {_rounded_up(s, prices)}"
         + (" (what a lane more there could save at most)" if k == 0 else "")
         for k, s in enumerate(places)
     ]
@@ -247,7 +246,8 @@ def _worth_naming(found: list[Shortage]) -> list[Shortage]:
 def _rounded_up(shortage: Shortage, prices: Prices) -> str:
     """The price rounded up, since it is the most that can be saved (noise of an LP aside)."""
     value = shortage.price / (prices.c_t or 1) - 1e-3
-    return f"{math.ceil(value)}" if value > 9 else f"{math.ceil(10 * value) / 10:g}"
+    number = math.ceil(value) if value > 9 else math.ceil(10 * value) / 10
+    return f"{number:g} {prices.unit.removesuffix('s') if number == 1 else prices.unit}"
 
 
 def _dense_zone(problem: Problem, prices: Prices) -> str:

@@ -11,7 +11,7 @@ from rich.console import Console
 from twin.errors import TwinError
 
 if TYPE_CHECKING:
-    from planner.explain import Explanation
+    from planner.explanation import Explanation
     from planner.plan import Plan
     from planner.problem import Problem
     from twin.instance import Stopwatch

@@ -199,7 +199,8 @@ def travel(
 
             draw_run(read(written.log), written.picture)
             written.plan.write_text(dump_plan(plan), encoding="utf-8")
-    return Road(instance, plan, execution, report, files, watch.seconds, hints(instance, plan))
+    all_hints = (*hints(instance, plan), *advice(plan))
+    return Road(instance, plan, execution, report, files, watch.seconds, all_hints)
 
 
 def crossings_with_holes(instance: Instance, plan: Plan) -> tuple[int, int]:
@@ -227,17 +228,20 @@ def crossings_with_holes(instance: Instance, plan: Plan) -> tuple[int, int]:
 
 def hints(instance: Instance, plan: Plan) -> tuple[str, ...]:
     """What the user might change about a run, and why."""
-    found = []
     crossings, holes = crossings_with_holes(instance, plan)
-    if holes:
-        share = f"{holes} of {crossings} crossings ({100 * holes / crossings:.0f} %)"
-        found.append(
-            f"{share} meet a hole in coverage in the middle of an edge; "
-            "--set radio.edge_rule=samples plans around them"
-        )
-    if plan.prices is not None and plan.prices.total > 0:
-        found.append(plan.prices.advice)
-    return tuple(found)
+    if not holes:
+        return ()
+    share = f"{holes} of {crossings} crossings ({100 * holes / crossings:.0f} %)"
+    return (
+        f"{share} meet a hole in coverage in the middle of an edge; "
+        "--set radio.edge_rule=samples plans around them",
+    )
+
+
+def advice(plan: Plan) -> tuple[str, ...]:
+    """Where room is short, if it is short at all (§1.13)."""
+    prices = plan.prices
+    return () if prices is None or prices.total <= 0 else (prices.advice,)
 
 
 def execute(

@@ -276,6 +276,8 @@ def test_advice_without_aisles_names_places():
     advice = advice_of(problem, priced(problem, vertex={5: 3.0}, edge={0: 1.0}))
     assert "position (0.2, 1.4) m costs 1.5 slots" in advice
     assert "way (0, 0) m–(0.8, 0.6) m costs 0.5 slots" in advice
+    single = advice_of(problem, priced(problem, vertex={5: 2.0}))
+    assert "costs 1 slot (" in single
     free = dataclasses.replace(problem, c_t=0)
     assert "costs 3 cost units" in advice_of(free, priced(free, vertex={5: 3.0}))
 
