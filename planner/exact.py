@@ -1,11 +1,12 @@
 """Branch-and-cut-and-price: the tree search that closes the gap between plan and bound.
 
 After Lam, Le Bodic, Harabor, Stuckey ("Branch-and-cut-and-price for multi-agent path finding",
-Computers & Operations Research 144, 2022, DOI 10.1016/j.cor.2022.105809) with the AP dimension, cuts
-of our own (`planner.cuts`) and proofs in integers: at every node penalties p ≥ 0 on resources and
-cuts give the bound Σ_i (least penalised cost of a path that the node allows) − Σ p · capacity, all
-terms integers, so a node is closed by arithmetic without rounding. A node without any plan is closed
-by the same argument with costs of 0 (Farkas; see `planner.phase_one`), never by an artificial cost.
+Computers & Operations Research 144, 2022, DOI 10.1016/j.cor.2022.105809) with the AP dimension,
+cuts of our own (`planner.cuts`) and proofs in integers: at every node penalties p ≥ 0 on resources
+and cuts give the bound Σ_i (least penalised cost of a path that the node allows) − Σ p · capacity,
+all terms integers, so a node is closed by arithmetic without rounding. A node without any plan is
+closed by the same argument with costs of 0 (Farkas; see `planner.phase_one`), never by an
+artificial cost.
 
 Costs are multiples of gcd(c_t, c_h), so bounds are rounded up to one. Nodes are taken by least
 bound, then by greatest depth, then in the order they were made: no clock decides anything.
@@ -204,7 +205,7 @@ class ExactSearch:
         heap = [Node(self.bound, 0, 0, ())]
         made = 1
         while heap:
-            self.bound = max(self.bound, heap[0].bound)
+            self._raise_bound(heap[0].bound)
             if self.closed(heap[0].bound):
                 break
             if self.stop() or (self.params.nodes is not None and self.nodes >= self.params.nodes):
@@ -215,17 +216,25 @@ class ExactSearch:
             if children is None:
                 # Interrupted: what is left of the node is open still, at its bound.
                 heapq.heapreplace(heap, node)
-                self.bound = max(self.bound, heap[0].bound)
+                self._raise_bound(heap[0].bound)
                 return
             heapq.heappop(heap)
             for decisions in children:
                 heapq.heappush(heap, Node(node.bound, -len(decisions), made, decisions))
                 made += 1
-            self.bound = max(self.bound, min((h.bound for h in heap[:1]), default=self.bound))
+            if heap:
+                self._raise_bound(heap[0].bound)
             self.on_node(self)
         self.exhausted = True
         if self.cutoff is not None:
-            self.bound = max(self.bound, self.cutoff * SCALE)
+            self._raise_bound(self.cutoff * SCALE)
+
+    def _raise_bound(self, bound: int) -> None:
+        """Every open node has at least this bound: so has every plan below the cutoff."""
+        cutoff = self.cutoff
+        if cutoff is not None:
+            bound = min(bound, cutoff * SCALE)
+        self.bound = max(self.bound, bound)
 
     def _process(self, node: Node) -> list[tuple[Decision, ...]] | None:
         """Solves a node's relaxation; its children (none if it is closed), None if stopped.
@@ -449,9 +458,9 @@ class ExactSearch:
     def _fix(self, node: Node, lp: LpSolution) -> bool:
         """Reduced-cost fixing at the root: excludes states no better plan's path passes.
 
-        With the penalties of this LP every plan costs at least L = Σ_i least_i − Σ p · capacity, and
-        one whose path for robot i passes a state s at least L − least_i + (least cost through s). If
-        that rounds up to the best plan's cost or more, s is of no interest.
+        With the penalties of this LP every plan costs at least L = Σ_i least_i − Σ p · capacity,
+        and one whose path for robot i passes a state s at least L − least_i + (least cost through
+        s). If that rounds up to the best plan's cost or more, s is of no interest.
 
         Returns:
             Whether columns of the LP were excluded.

@@ -40,8 +40,8 @@ def costs_through(
         start_nodes, goal_nodes: nodes of the origin and of the destination.
 
     Returns:
-        (T+1, n) int64, at least INFINITE where no path passes (or parks); and (T+1,) int64 the least cost of a
-        path that arrives in a slot.
+        (T+1, n) int64, at least INFINITE where no path passes (or parks); and (T+1,) int64 the
+        least cost of a path that arrives in a slot.
     """
     n_nodes = len(node_vertex)
     last = min(latest, horizon)

@@ -12,8 +12,8 @@ of a plan can be early by the same argument, hence Σ_{i∈K} Σ (paths with τ 
 Where two robots meet in a one-lane passage, one of them waits for the other; the LP lets them pass
 through each other half a path at a time, shifted by a slot. Here whoever passes later pays in full,
 whatever the shape of the passage: corridors, rectangles and goals in the way are all pairs of
-arrivals that exclude each other (compare Li, Harabor, Stuckey, Ma, Gange, Koenig, "Pairwise symmetry
-reasoning for multi-agent path finding search", Artificial Intelligence 301, 2021, DOI
+arrivals that exclude each other (compare Li, Harabor, Stuckey, Ma, Gange, Koenig, "Pairwise
+symmetry reasoning for multi-agent path finding search", Artificial Intelligence 301, 2021, DOI
 10.1016/j.artint.2021.103574, where each shape has a rule of its own).
 
 Which pairs exclude each other is found by a sweep over all positions of the two

@@ -56,7 +56,8 @@ class PairStates:
     """The states two robots i < j can be in together.
 
     Attributes:
-        place_i, place_j: (T+1, V) int32, place of a vertex in a slot's matrix, -1 if of no interest.
+        place_i, place_j: (T+1, V) int32, place of a vertex in a slot's matrix, -1 if of no
+            interest.
         begin: (T+2,) int64, where each slot's matrix begins.
         both: the matrices [place of i, place of j] end to end; the last places are "arrived".
     """
@@ -190,13 +191,14 @@ def separate(
 
 def _n_places(place: NDArray[np.int32]) -> NDArray[np.int64]:
     """(T+1,) places per slot, "arrived" included."""
-    return place.max(axis=1).astype(np.int64) + 2
+    places: NDArray[np.int64] = place.max(axis=1).astype(np.int64) + 2
+    return places
 
 
 def _states(path: Path | None, place: NDArray[np.int32]) -> NDArray[np.int64]:
     """(T+1,) the place of a path's state in each slot, -1 if it is of no interest."""
     assert path is not None
-    states = place.max(axis=1).astype(np.int64) + 1  # arrived
+    states: NDArray[np.int64] = place.max(axis=1).astype(np.int64) + 1  # arrived
     on_way = np.arange(path.arrival)
     states[: path.arrival] = place[on_way, path.vertices[:-1]]
     return states
@@ -233,8 +235,8 @@ def _excluded_by(
         matrix = exclusions.matrix(i, k, slot)
         if matrix is None:
             return None
-        mine = ~matrix[chosen].any(axis=0)
-        free = mine if free is None else free & mine
+        mine = np.asarray(~matrix[chosen].any(axis=0), np.bool_)
+        free = mine if free is None else np.asarray(free & mine)
     return free
 
 

@@ -36,7 +36,7 @@ class WaitEdgeCut:
 def separate(
     problem: Problem, columns: list[Column], x: NDArray[np.float64], *, least: float = 0.01
 ) -> list[WaitEdgeCut]:
-    """All wait-edge cuts that a solution violates by at least `least`, in order of slot and edge."""
+    """All wait-edge cuts that a solution violates by at least `least`, by slot and edge."""
     E = problem.n_edges
     weight: dict[tuple[int, int], float] = {}
     for k in np.flatnonzero(x > 1e-9).tolist():
