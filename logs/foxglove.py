@@ -87,7 +87,8 @@ def stamp(message: Any, log_time_ns: int) -> bytes:
         for part in (*message.entities, *message.deletions):
             part.timestamp.CopyFrom(now)
     else:
-        message.timestamp.CopyFrom(now)
+        grid: Any = message  # narrowed away from SceneUpdate, it would lose its fields
+        grid.timestamp.CopyFrom(now)
     data: bytes = message.SerializeToString(deterministic=True)
     return data
 
