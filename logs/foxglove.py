@@ -83,12 +83,9 @@ def timestamp(log_time_ns: int) -> Timestamp:
 def stamp(message: Any, log_time_ns: int) -> bytes:
     """The bytes of a scene or grid, all its timestamps set to `log_time_ns`."""
     now = timestamp(log_time_ns)
-    if isinstance(message, SceneUpdate):
-        for part in (*message.entities, *message.deletions):
-            part.timestamp.CopyFrom(now)
-    else:
-        grid: Any = message  # narrowed away from SceneUpdate, it would lose its fields
-        grid.timestamp.CopyFrom(now)
+    scene = isinstance(message, SceneUpdate)
+    for part in (*message.entities, *message.deletions) if scene else (message,):
+        part.timestamp.CopyFrom(now)
     data: bytes = message.SerializeToString(deterministic=True)
     return data
 
