@@ -28,6 +28,7 @@ from planner.cooperative import Reservations
 from planner.cuts import CutPool, arrival_conflict, state_exclusion, wait_edge
 from planner.improve import LargeNeighbourhoodSearch
 from planner.master import Column, LpSolution, Master
+from planner.parallel import each
 from planner.plan import Path
 from planner.resources import BLOCKED, SCALE, Resources
 from planner.search import INFINITE, NO_ARRIVAL_PENALTY, NOTHING_FORBIDDEN, Penalties, Search
@@ -94,6 +95,7 @@ class ExactSearch:
         target: only plans cheaper than this are looked for; None for any.
         params: limits and means.
         stop: asked after every round of pricing; True ends the search.
+        outside: asked after every round of pricing for a plan found elsewhere, None without one.
         on_node: called after every node.
 
     Attributes:
@@ -118,11 +120,13 @@ class ExactSearch:
         bound: int = 0,
         params: ExactParams | None = None,
         stop: Callable[[], bool] = lambda: False,
+        outside: Callable[[], list[Path | None] | None] = lambda: None,
         on_node: Callable[[ExactSearch], None] = lambda _tree: None,
     ) -> None:
         problem = search.problem
         self.problem, self.search, self.resources = problem, search, resources
         self.params, self.stop, self.on_node = params or ExactParams(), stop, on_node
+        self.outside = outside
         self.n = problem.n_robots
         self.unit = gcd(problem.c_t, problem.c_h) or 1
         self.paths: list[Path | None] = list(paths)
@@ -303,6 +307,11 @@ class ExactSearch:
             if self.closed(node.bound):
                 return "closed"
             added = self.add(new)
+            found = self.outside()
+            if found is not None and self.offer(found):
+                self.add([(i, p) for i, p in enumerate(found) if p is not None])
+                if self.closed(node.bound):
+                    return "closed"
             if lp.complete and (added == 0 or self._settled(node, lp)):
                 return lp
             if self.stop():
@@ -475,7 +484,7 @@ class ExactSearch:
         self._fixed_at = (cutoff, node.bound)
         graph, problem = self.search.graph, self.problem
         at_arrival = self._load(lp)
-        through = [self._through(i, at_arrival[i]) for i in range(self.n)]
+        through = list(each(lambda i: self._through(i, at_arrival[i]), range(self.n)))
         least = [int(t[1].min(initial=INFINITE)) for t in through]
         capacity = self.master.capacity[lp.rows].astype(np.int64)
         bound = sum(least) - int(lp.penalty() @ capacity)
@@ -503,8 +512,9 @@ class ExactSearch:
     ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         graph, problem, p = self.search.graph, self.problem, self.penalties
         last = int(self.search.latest[i])
+        vertex = p.vertex.copy() if self._places[i] else p.vertex  # others read it at this time
         for slot, vertices, amount in self._places[i]:
-            p.vertex[slot, vertices] += amount
+            vertex[slot, vertices] += amount
         cost, arriving = kernels_exact.costs_through(
             problem.horizon,
             graph.arc_ptr,
@@ -517,15 +527,13 @@ class ExactSearch:
             graph.nodes_at(int(problem.start[i])),
             graph.nodes_at(int(problem.goal[i])),
             SCALE,
-            p.vertex,
+            vertex,
             p.move,
             p.ap,
             problem.at_goal == "park",
             last if latest is None else min(last, latest),
             at_arrival,
         )
-        for slot, vertices, amount in self._places[i]:
-            p.vertex[slot, vertices] -= amount
         return cost, arriving
 
     def _may_improve(self, column: Column) -> bool:
@@ -550,7 +558,9 @@ class ExactSearch:
         if "arrival_conflict" in self.params.cuts and not np.any(self.problem.edge_slots > 1):
             if self.conflicts is None:
                 self.conflicts = self._pair_conflicts()
-            more = arrival_conflict.separate(self.conflicts, columns, lp.x, self.resources)
+            more = arrival_conflict.separate(
+                self.conflicts, columns, lp.x, self.resources, stop=self.stop
+            )
             found += self.pool.add(list(more))
         if not found and "state_exclusion" in self.params.cuts and self._fixed_at is not None:
             if self.exclusions is None and not np.any(self.problem.edge_slots > 1):
@@ -558,7 +568,9 @@ class ExactSearch:
                     self.problem, self._excess, self._arriving, self.room
                 )
             if self.exclusions is not None:
-                others = state_exclusion.separate(self.exclusions, columns, lp.x, self.resources)
+                others = state_exclusion.separate(
+                    self.exclusions, columns, lp.x, self.resources, stop=self.stop
+                )
                 found += self.pool.add(list(others))
         if not found:
             return False
@@ -576,20 +588,22 @@ class ExactSearch:
 
     def _by_vertex(self, cost: NDArray[np.int64]) -> NDArray[np.int64]:
         """(T+1, V) the least of a (T+1, n) array over each vertex's APs."""
-        graph = self.search.graph
-        by_vertex = np.full((len(cost), self.problem.n_vertices), INFINITE, np.int64)
-        np.minimum.at(by_vertex.T, graph.node_vertex, cost.T)
+        # Nodes are sorted by vertex; every vertex has one (§1.8).
+        first = np.flatnonzero(np.diff(self.search.graph.node_vertex, prepend=-1))
+        by_vertex: NDArray[np.int64] = np.minimum.reduceat(cost, first, axis=1)
         return by_vertex
 
     def _pair_conflicts(self) -> arrival_conflict.PairConflicts:
         """Where and when robots can be on paths of interest, by windows after the earliest."""
         problem, graph = self.problem, self.search.graph
         self._clear()
-        excess, arrives, window = [], [], []
+        excess, arrives, window, lasts = [], [], [], []
         for i in range(self.n):
             first = int(self.search.distances[i].slots[graph.nodes_at(int(problem.start[i]))].min())
-            last = first + arrival_conflict.SLACK
-            cost, arriving = self._through(i, NO_ARRIVAL_PENALTY, last)
+            lasts.append(first + arrival_conflict.SLACK)
+        through = each(lambda i: self._through(i, NO_ARRIVAL_PENALTY, lasts[i]), range(self.n))
+        for i, (cost, arriving) in enumerate(through):
+            last = lasts[i]
             within = self._by_vertex(cost) < INFINITE
             there = arriving < INFINITE
             known = len(self._arriving[i]) > 0
@@ -716,6 +730,7 @@ def solve_exact(
     bound: int = 0,
     params: ExactParams | None = None,
     stop: Callable[[], bool] = lambda: False,
+    outside: Callable[[], list[Path | None] | None] = lambda: None,
     on_progress: Callable[[ExactResult], None] = lambda _result: None,
 ) -> ExactResult:
     """Searches until the best plan is proven optimal, or that there is none, or a limit is met.
@@ -731,6 +746,7 @@ def solve_exact(
         bound: a proven lower bound to start with [1/SCALE cost units].
         params: limits and means.
         stop: asked after every round of pricing; True ends the search.
+        outside: asked after every round of pricing for a plan found elsewhere, None without one.
         on_progress: called after every node with what is known by then.
     """
     params = params or ExactParams()
@@ -774,6 +790,7 @@ def solve_exact(
                 cuts=() if first else params.cuts,
             ),
             stop=stop,
+            outside=outside,
             on_node=lambda tree: on_progress(result(tree, root=tree.root_bound[1] or None)),
         )
         tree.run()

@@ -99,6 +99,10 @@ class LargeNeighbourhoodSearch:
             old_first=np.empty(m, np.int32),
             old_arrival=np.empty(m, np.int64),
             old_cost=np.empty(m, np.int64),
+            best_arcs=np.empty((n, T), np.int32),
+            best_first=np.empty(n, np.int32),
+            best_arrival=np.empty(n, np.int64),
+            best_cost=np.empty(n, np.int64),
         )
         self._weights = np.ones(kernels.N_STRATEGIES)
         self._tabu = np.zeros(n, np.int64)
@@ -106,6 +110,7 @@ class LargeNeighbourhoodSearch:
         for i, path in enumerate(paths):
             if path is not None:
                 self._place(i, path)
+        kernels.keep_best(self._fleet, self._work)
 
     def _place(self, i: int, path: Path) -> None:
         """Enters a given path."""
@@ -126,8 +131,13 @@ class LargeNeighbourhoodSearch:
         fleet.cost[i] = problem.c_t * path.arrival + problem.c_h * path.handovers
         kernels.occupy(self._graph, fleet, i, True)
 
-    def run(self, iterations: int) -> int:
-        """Tries neighbourhoods; returns how many lowered the cost."""
+    def run(self, iterations: int, *, deviation: int = 0) -> int:
+        """Tries neighbourhoods; returns how many made a cheaper plan than ever.
+
+        Args:
+            iterations: neighbourhoods to try.
+            deviation: how much dearer than the cheapest plan the fleet may become on the way.
+        """
         return int(
             kernels.improve(
                 self._graph,
@@ -135,6 +145,7 @@ class LargeNeighbourhoodSearch:
                 self._work,
                 iterations,
                 self._max_size,
+                deviation,
                 self.unserved_cost,
                 self._weights,
                 self._tabu,
@@ -144,17 +155,17 @@ class LargeNeighbourhoodSearch:
 
     @property
     def cost(self) -> int:
-        """Cost of the plan, robots without a path included at `unserved_cost`."""
-        return int(self._fleet.cost.sum())
+        """Cost of the cheapest plan, robots without a path included at `unserved_cost`."""
+        return int(self._work.best_cost.sum())
 
     def paths(self) -> list[Path | None]:
-        """The plan as it is now."""
-        fleet = self._fleet
+        """The cheapest plan."""
+        best = self._work
         return [
             None
-            if fleet.arrival[i] < 0
+            if best.best_arrival[i] < 0
             else self._search.path_of(
-                i, fleet.arcs[i, : fleet.arrival[i]].copy(), int(fleet.first[i])
+                i, best.best_arcs[i, : best.best_arrival[i]].copy(), int(best.best_first[i])
             )
-            for i in range(len(fleet.arrival))
+            for i in range(len(best.best_arrival))
         ]

@@ -74,6 +74,10 @@ class Workspace(NamedTuple):
     old_first: NDArray[np.int32]
     old_arrival: NDArray[np.int64]
     old_cost: NDArray[np.int64]
+    best_arcs: NDArray[np.int32]  # the cheapest plan so far, as `Fleet` has it
+    best_first: NDArray[np.int32]
+    best_arrival: NDArray[np.int64]
+    best_cost: NDArray[np.int64]
 
 
 @njit(cache=True, nogil=True)
@@ -284,27 +288,43 @@ def _choose(graph, fleet, strategy, seed_robot, members, wanted, rng):
 
 
 @njit(cache=True, nogil=True)
-def improve(graph, fleet, work, iterations, max_size, unserved_cost, weights, tabu, rng):
-    """Tries `iterations` neighbourhoods; the fleet only ever gets cheaper or stays as cheap.
+def keep_best(fleet, work):
+    """Notes the fleet's plan as the cheapest so far."""
+    work.best_arcs[:] = fleet.arcs
+    work.best_first[:] = fleet.first
+    work.best_arrival[:] = fleet.arrival
+    work.best_cost[:] = fleet.cost
+
+
+@njit(cache=True, nogil=True)
+def improve(graph, fleet, work, iterations, max_size, deviation, unserved_cost, weights, tabu, rng):
+    """Tries `iterations` neighbourhoods (record-to-record travel: Dueck, 1993).
+
+    A neighbourhood is kept if it makes the fleet no dearer than the cheapest plan so far plus
+    `deviation`; with 0 the fleet only ever gets cheaper or stays as cheap.
 
     Args:
         graph, fleet, work: see their types.
         iterations: neighbourhoods to try.
         max_size: robots in a neighbourhood, at most.
+        deviation: how much dearer than the cheapest plan the fleet may be; no robot is given up
+            for it.
         unserved_cost: what a robot without a path counts: more than all paths together.
         weights: (N_STRATEGIES,) float64, adapted to what helped.
         tabu: (N,) int64, how often a robot was the seed since its cost last fell.
         rng: numpy Generator.
 
     Returns:
-        Number of neighbourhoods that lowered the cost.
+        Number of neighbourhoods that made a cheaper plan than ever.
     """
     n = len(fleet.arrival)
     # For the choices below a robot without a path counts as the dearest path, not as all of them.
     dearest = unserved_cost // n + 1
     members = np.empty(max_size, np.int64)
     successes = 0
+    current, best = fleet.cost.sum(), work.best_cost.sum()
     for _ in range(iterations):
+        slack = max(0, best + deviation - current)
         # Strategy by roulette.
         pick = rng.random() * weights.sum()
         strategy = 0
@@ -314,11 +334,11 @@ def improve(graph, fleet, work, iterations, max_size, unserved_cost, weights, ta
         # Seed: the robot farthest above its least cost per try so far, or any robot.
         seed_robot = int(rng.random() * n)
         if strategy == WALK:
-            best = -1.0
+            most = -1.0
             for i in range(n):
                 worth = (min(fleet.cost[i], dearest) - graph.least_cost[i]) / (1.0 + tabu[i])
-                if worth > best:
-                    best, seed_robot = worth, i
+                if worth > most:
+                    most, seed_robot = worth, i
             tabu[seed_robot] += 1
         wanted = 2 + int(rng.random() * (max_size - 1))
         size = _choose(graph, fleet, strategy, seed_robot, members, wanted, rng)
@@ -343,10 +363,10 @@ def improve(graph, fleet, work, iterations, max_size, unserved_cost, weights, ta
         for k in range(size):
             i = members[k]
             floor_cost -= graph.least_cost[i]
-            room = before - after - floor_cost
+            room = before + slack - after - floor_cost
             if plan_robot(graph, fleet, work, i, min(room + 1, unserved_cost)):
                 occupy(graph, fleet, i, True)
-            elif room >= unserved_cost:
+            elif room - slack >= unserved_cost:
                 fleet.arrival[i] = -1
                 fleet.cost[i] = unserved_cost
             else:
@@ -365,13 +385,27 @@ def improve(graph, fleet, work, iterations, max_size, unserved_cost, weights, ta
                 fleet.arrival[i] = work.old_arrival[k]
                 fleet.cost[i] = work.old_cost[k]
                 occupy(graph, fleet, i, True)
-        elif gain > 0:
-            successes += 1
-            for k in range(size):
-                tabu[members[k]] = 0
-        worth = min(gain, dearest) / max(size, 1)
+        else:
+            current -= gain
+            if gain > 0:
+                for k in range(size):
+                    tabu[members[k]] = 0
+            if current < best:
+                successes += 1
+                best = current
+                keep_best(fleet, work)
+        worth = min(max(gain, 0), dearest) / max(size, 1)
         weights[strategy] = max(0.99 * weights[strategy] + 0.01 * worth, 0.02)
     return successes
 
 
-__all__ = ["INFINITE", "Fleet", "Graph", "Workspace", "improve", "occupy", "plan_robot"]
+__all__ = [
+    "INFINITE",
+    "Fleet",
+    "Graph",
+    "Workspace",
+    "improve",
+    "keep_best",
+    "occupy",
+    "plan_robot",
+]

@@ -214,10 +214,10 @@ def problem_from_world(world: World, floor: Floor, radio_map: RadioMap) -> Probl
     for end, at in (("start", floor.start), ("goal", floor.goal)):
         for robot in np.flatnonzero(new_index[at] < 0):
             v = at[robot]
-            (column, row), (x, y) = floor.vertex_cell[v], floor.vertex_xy_m[v]
+            x, y = floor.vertex_xy_m[v]
             ap = int(np.argmax(radio_map.snr_db[v]))
             faults.append(
-                f"{world.name}: robot {floor.robot_ids[robot]}: its {end}, cell ({column}, {row}) "
+                f"{world.name}: robot {floor.robot_ids[robot]}: its {end}, {floor.vertex_name(v)} "
                 f"at ({x:g}, {y:g}) m, is covered by no AP (the best, {radio_map.ap_ids[ap]}, "
                 f"gives {radio_map.snr_db[v, ap]:.1f} dB): move the {end}, add an AP near it, "
                 f"or lower {radio}"

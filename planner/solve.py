@@ -9,11 +9,13 @@ from typing import Literal, get_args
 
 import numpy as np
 
+from planner.companion import Companion
 from planner.cooperative import cooperative_with_restarts
 from planner.expanded_graph import ExpandedGraph
 from planner.improve import LargeNeighbourhoodSearch
 from planner.least_prices import least_penalties
 from planner.master import Master
+from planner.parallel import n_threads
 from planner.pgcp import (
     PgcpState,
     artificial_cost,
@@ -34,6 +36,12 @@ FIRST_NEIGHBOURHOODS = 750
 
 FIRST_SHARE, BOUND_SHARE = 0.25, 0.6
 """Shares of a time limit after which the first improvement, then path generation end."""
+
+REPAIR_SHARE = 0.8
+"""Share of a time limit after which robots left out are the tree search's affair."""
+
+DECIDING_NODES = 300
+"""Nodes of the tree search for robots that are left out, without a time limit."""
 
 Method = Literal["auto", "exact", "pgcp", "cooperative", "decoupled"]
 
@@ -104,8 +112,10 @@ class _Solver:
         problem: Problem,
         params: SolveParams,
         on_progress: Callable[[Progress], None] | None,
+        stop: Callable[[], bool],
     ) -> None:
         self.problem, self.params, self.on_progress = problem, params, on_progress
+        self.told_to_stop = stop
         self.started = time.perf_counter()
         self.n = len(problem.robot_ids)
         self.paths: list[Path | None] = [None] * self.n
@@ -116,6 +126,7 @@ class _Solver:
         self.columns = 0
         self.lp_value: float | None = None
         self.counts: dict[str, float] = {}
+        self.companion: Companion | None = None
         self.exhausted = False  # the tree search has proven that there is no plan
 
     # -- bookkeeping ---------------------------------------------------------------------------
@@ -125,6 +136,8 @@ class _Solver:
 
     def out_of_time(self, share: float = 1.0) -> bool:
         limit = self.params.time_limit
+        if self.told_to_stop():
+            return True
         return limit is not None and self.elapsed() >= share * limit
 
     def rounded_bound(self) -> int:
@@ -224,8 +237,6 @@ class _Solver:
             self.run_cooperative(search, resources)
             if self.params.method in ("auto", "exact"):
                 self.run_auto(graph, search, resources)
-                if self.params.method == "exact" or self.params.time_limit is not None:
-                    self.run_exact(search, resources)
                 self.paths = tidy(resources, self.paths)
                 self.cost = self.cost_of(self.paths)  # it may have saved a handover
         if any(p is None for p in self.paths) and self.params.method != "cooperative":
@@ -248,12 +259,34 @@ class _Solver:
         self.report("cooperative A*")
 
     def run_auto(self, graph: ExpandedGraph, search: Search, resources: Resources) -> None:
-        """A good plan first, then its bound, then better plans for what is left to spend."""
+        """A good plan first, then its bound, then better plans and bounds till the limit."""
         neighbourhoods = LargeNeighbourhoodSearch(
             search, resources, self.paths, seed=self.params.seed
         )
         first = min(self.params.iterations // 4, FIRST_NEIGHBOURHOODS)
         self.improve(neighbourhoods, first, until=FIRST_SHARE)
+        if self.params.time_limit is None:
+            state = self.generate(graph, search, resources)
+            self.improve(neighbourhoods, self.params.iterations - first)
+            self.repair(state)
+            if self.params.method == "exact":
+                self.run_exact(search, resources, self.params.nodes)
+            elif not all(self.paths):
+                # Robots that must make way for each other in turn are a matter for the tree.
+                self.run_exact(search, resources, DECIDING_NODES)
+            return
+        with Companion(search, resources, self.paths, seed=self.params.seed + 1) as companion:
+            self.companion = companion
+            state = self.generate(graph, search, resources)
+            self.ask_companion()
+            self.repair(state)
+            self.run_exact(search, resources, self.params.nodes)
+            self.wait_for_companion()
+            self.counts["neighbourhoods"] += companion.neighbourhoods
+            self.companion = None
+
+    def generate(self, graph: ExpandedGraph, search: Search, resources: Resources) -> PgcpState:
+        """Path generation for the bound, with the best plan's paths to begin with."""
         since = time.perf_counter()
         state = PgcpState(
             graph, resources, search, Master(resources, artificial_cost(self.problem))
@@ -265,6 +298,7 @@ class _Solver:
         def stop(state: PgcpState) -> bool:
             self.raise_bound(state)
             self.columns = len(state.master.columns)
+            self.ask_companion()
             self.report("path generation")
             return self.out_of_time(BOUND_SHARE) or self.good_enough()
 
@@ -272,15 +306,39 @@ class _Solver:
         stop(state)
         self.count(state)
         self.lap("path_generation", since)
-        self.improve(neighbourhoods, self.params.iterations - first)
-        if any(p is None for p in self.paths) and not self.out_of_time():
-            # Where robots must plan for each other at once, one-by-one repair does not get there;
-            # the LP's columns do.
-            since = time.perf_counter()
-            self.offer(cooperative_pruning(state, stop=lambda _state: self.out_of_time()))
-            self.lap("cooperative_pruning", since)
+        return state
 
-    def run_exact(self, search: Search, resources: Resources) -> None:
+    def repair(self, state: PgcpState) -> None:
+        """Serves robots left out by the LP's columns.
+
+        One-by-one repair does not get there where robots must plan for each other at once.
+        """
+        if all(self.paths) or self.out_of_time():
+            return
+
+        def stop(_state: PgcpState) -> bool:
+            return self.out_of_time(REPAIR_SHARE) or self.ask_companion() is not None
+
+        since = time.perf_counter()
+        self.offer(cooperative_pruning(state, stop=stop))
+        self.lap("cooperative_pruning", since)
+
+    def ask_companion(self) -> list[Path | None] | None:
+        """Takes over the companion's plan if it is better; the plan, if it is complete then."""
+        found = None if self.companion is None else self.companion.better()
+        if found is not None:
+            self.offer(found)
+        return self.paths if found is not None and all(self.paths) else None
+
+    def wait_for_companion(self) -> None:
+        """The time that is left belongs to the plan when nothing more can be done for the bound."""
+        while not (self.good_enough() or self.out_of_time() or self.exhausted):
+            if n_threads() > 1:
+                time.sleep(0.02)
+            self.ask_companion()
+            self.report("neighbourhood search")
+
+    def run_exact(self, search: Search, resources: Resources, nodes: int | None) -> None:
         """The tree search, until the plan is good enough or a limit is met."""
         if self.good_enough() or self.out_of_time():
             return
@@ -292,7 +350,10 @@ class _Solver:
             self.bound = max(self.bound, result.bound)
             self.columns = result.columns
             if result.upper is not None:
+                before = self.cost
                 self.offer(list(result.paths))
+                if self.companion is not None and self.cost < before:
+                    self.companion.offer(self.paths)
             self.report("tree search")
 
         state = self.priced
@@ -303,8 +364,9 @@ class _Solver:
             self.paths,
             columns=[(c.robot, c.path) for c in known if c.path is not None],
             bound=self.bound,
-            params=ExactParams(nodes=self.params.nodes, seed=self.params.seed),
+            params=ExactParams(nodes=nodes, seed=self.params.seed),
             stop=lambda: self.out_of_time() or self.good_enough(),
+            outside=self.ask_companion,
             on_progress=on_progress,
         )
         on_progress(result)
@@ -411,6 +473,7 @@ def solve(
     problem: Problem,
     params: SolveParams | None = None,
     on_progress: Callable[[Progress], None] | None = None,
+    stop: Callable[[], bool] = lambda: False,
 ) -> Plan:
     """Plans the fleet.
 
@@ -418,6 +481,7 @@ def solve(
         problem: the instance.
         params: limits and method; the defaults if None.
         on_progress: called now and then with how far it is.
+        stop: asked now and then; True ends the search with the best answer so far.
 
     Returns:
         A plan of status optimal, feasible, infeasible or unknown (§1.12); never a plan that breaks
@@ -425,4 +489,4 @@ def solve(
     """
     if params is not None and params.method == "decoupled":
         return _solve_decoupled(problem, params, on_progress)
-    return _Solver(problem, params or SolveParams(), on_progress).run()
+    return _Solver(problem, params or SolveParams(), on_progress, stop).run()

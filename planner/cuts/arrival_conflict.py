@@ -24,6 +24,7 @@ AP capacities are left out of it: that can only miss conflicts.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,6 +33,7 @@ from numpy.typing import NDArray
 from planner import kernels_exact
 from planner.cuts.pairs import interacting_pairs, neighbours
 from planner.master import Column
+from planner.parallel import each
 from planner.problem import Problem
 from planner.resources import Resources
 
@@ -85,29 +87,41 @@ class PairConflicts:
         None if it was not found out.
         """
         if (i, j) not in self._frontiers:
-            problem = self.problem
-            T = problem.horizon
-            ends = np.array([problem.start[i], problem.goal[i], problem.start[j], problem.goal[j]])
-            found = kernels_exact.pair_frontier(
-                T,
-                *self._neighbours,
-                self.excess[i],
-                self.excess[j],
-                self.arrives[i],
-                self.arrives[j],
-                self.room,
-                ends.astype(np.int32),
-                problem.at_goal == "park",
-                MAX_STEPS,
-            )
-            if found[0] < 0:
-                self._frontiers[i, j] = self._frontiers[j, i] = None
-            else:
-                one = np.minimum.accumulate(found).astype(np.int32)
-                # The same staircase seen from j: the first slot of i whose entry is ≤ each slot.
-                other = np.searchsorted(-one, -np.arange(T + 1), side="left").astype(np.int32)
-                self._frontiers[i, j], self._frontiers[j, i] = one, other
+            self._keep((i, j), self._sweep((i, j)))
         return self._frontiers[i, j]
+
+    def find_out(self, pairs: list[tuple[int, int]], stop: Callable[[], bool]) -> None:
+        """Looks at pairs on all cores; some are left out if stopped."""
+        new = [pair for pair in pairs if pair not in self._frontiers]
+        for pair, found in zip(new, each(self._sweep, new, stop), strict=False):
+            self._keep(pair, found)
+
+    def _sweep(self, pair: tuple[int, int]) -> NDArray[np.int32]:
+        problem, (i, j) = self.problem, pair
+        ends = np.array([problem.start[i], problem.goal[i], problem.start[j], problem.goal[j]])
+        found: NDArray[np.int32] = kernels_exact.pair_frontier(
+            problem.horizon,
+            *self._neighbours,
+            self.excess[i],
+            self.excess[j],
+            self.arrives[i],
+            self.arrives[j],
+            self.room,
+            ends.astype(np.int32),
+            problem.at_goal == "park",
+            MAX_STEPS,
+        )
+        return found
+
+    def _keep(self, pair: tuple[int, int], found: NDArray[np.int32]) -> None:
+        (i, j), T = pair, self.problem.horizon
+        if found[0] < 0:
+            self._frontiers[i, j] = self._frontiers[j, i] = None
+            return
+        one = np.minimum.accumulate(found).astype(np.int32)
+        # The same staircase seen from j: the first slot of i whose entry is ≤ each slot.
+        other = np.searchsorted(-one, -np.arange(T + 1), side="left").astype(np.int32)
+        self._frontiers[i, j], self._frontiers[j, i] = one, other
 
     def latest_conflict(self, i: int, a: int, j: int) -> int:
         """The latest b such that τ_i ≤ a and τ_j ≤ b exclude each other; -1 if none is known."""
@@ -124,11 +138,12 @@ def separate(
     resources: Resources,
     *,
     least: float = 0.02,
+    stop: Callable[[], bool] = lambda: False,
 ) -> list[ArrivalConflictCut]:
     """Cuts a solution violates: for each pair the most violated one, grown to more robots.
 
     A pair's cut is extended by whichever robot adds most weight, as late as conflicts with all
-    members allow, until none adds any.
+    members allow, until none adds any. When stopped, those found so far.
     """
     T = conflicts.problem.horizon
     by = np.zeros((conflicts.problem.n_robots, T + 1))  # weight of paths that arrive by a slot
@@ -142,7 +157,10 @@ def separate(
         near.setdefault(i, set()).add(j)
         near.setdefault(j, set()).add(i)
     found: list[tuple[float, ArrivalConflictCut]] = []
+    conflicts.find_out(pairs, stop)
     for i, j in pairs:
+        if stop():
+            break
         frontier = conflicts.frontier(i, j)
         if frontier is None:
             continue

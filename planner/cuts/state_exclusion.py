@@ -21,7 +21,7 @@ better plan (reduced costs). AP capacities are left out of it: that can only mis
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 from planner import kernels_exact
 from planner.cuts.pairs import interacting_pairs, neighbours
 from planner.master import Column
+from planner.parallel import each
 from planner.plan import Path
 from planner.problem import Problem
 from planner.resources import Resources
@@ -101,23 +102,31 @@ class StateExclusions:
     def pair(self, i: int, j: int) -> PairStates | None:
         """The states of i < j; None if not found out."""
         if (i, j) not in self._pairs:
-            problem = self.problem
-            ends = np.array([problem.start[i], problem.goal[i], problem.start[j], problem.goal[j]])
-            place_i, place_j, begin, both = kernels_exact.pair_states(
-                problem.horizon,
-                *self._neighbours,
-                self.excess[i],
-                self.excess[j],
-                self.arrives[i],
-                self.arrives[j],
-                self.room,
-                ends.astype(np.int32),
-                problem.at_goal == "park",
-                MAX_STEPS,
-            )
-            found = PairStates(place_i, place_j, begin, both)
-            self._pairs[i, j] = found if len(both) else None
+            self._pairs[i, j] = self._sweep((i, j))
         return self._pairs[i, j]
+
+    def find_out(self, pairs: list[tuple[int, int]], stop: Callable[[], bool]) -> None:
+        """Looks at pairs on all cores; some are left out if stopped."""
+        new = [pair for pair in pairs if pair not in self._pairs]
+        for pair, found in zip(new, each(self._sweep, new, stop), strict=False):
+            self._pairs[pair] = found
+
+    def _sweep(self, pair: tuple[int, int]) -> PairStates | None:
+        problem, (i, j) = self.problem, pair
+        ends = np.array([problem.start[i], problem.goal[i], problem.start[j], problem.goal[j]])
+        place_i, place_j, begin, both = kernels_exact.pair_states(
+            problem.horizon,
+            *self._neighbours,
+            self.excess[i],
+            self.excess[j],
+            self.arrives[i],
+            self.arrives[j],
+            self.room,
+            ends.astype(np.int32),
+            problem.at_goal == "park",
+            MAX_STEPS,
+        )
+        return PairStates(place_i, place_j, begin, both) if len(both) else None
 
     def matrix(self, i: int, j: int, slot: int) -> NDArray[np.bool_] | None:
         """[place of i, place of j] possible together in a slot; None if not found out."""
@@ -140,8 +149,12 @@ def separate(
     resources: Resources,
     *,
     least: float = 0.05,
+    stop: Callable[[], bool] = lambda: False,
 ) -> list[StateExclusionCut]:
-    """Cuts a solution violates: for each pair the most violated one, grown to more robots."""
+    """Cuts a solution violates: for each pair the most violated one, grown to more robots.
+
+    When stopped, those found so far.
+    """
     problem = exclusions.problem
     T = problem.horizon
     likely: dict[int, tuple[NDArray[np.int64], NDArray[np.float64]]] = {}
@@ -162,7 +175,10 @@ def separate(
         near.setdefault(i, set()).add(j)
         near.setdefault(j, set()).add(i)
     found: list[tuple[float, StateExclusionCut]] = []
+    exclusions.find_out(pairs, stop)
     for i, j in pairs:
+        if stop():
+            break
         pair = exclusions.pair(i, j)
         if pair is None:
             continue

@@ -322,10 +322,10 @@ def test_robots_out_of_coverage_are_all_named():
     with pytest.raises(PlannerError) as caught:
         problem_from_world(world_of(), floor, map_of(floor, SNR))
     assert caught.value.lines == (
-        "shed: robot agv 1: its start, cell (2, 0) at (5, 1) m, is covered by no AP (the best, "
+        "shed: robot agv 1: its start, cell [2, 0] at (5, 1) m, is covered by no AP (the best, "
         "near, gives 9.0 dB): move the start, add an AP near it, or lower radio.threshold_db "
         "(10 dB)",
-        "shed: robot agv 0: its goal, cell (2, 0) at (5, 1) m, is covered by no AP (the best, "
+        "shed: robot agv 0: its goal, cell [2, 0] at (5, 1) m, is covered by no AP (the best, "
         "near, gives 9.0 dB): move the goal, add an AP near it, or lower radio.threshold_db "
         "(10 dB)",
     )
