@@ -307,6 +307,8 @@ class ExactSearch:
             if self.closed(node.bound):
                 return "closed"
             added = self.add(new)
+            if self.stop():
+                return None
             found = self.outside()
             if found is not None and self.offer(found):
                 self.add([(i, p) for i, p in enumerate(found) if p is not None])
@@ -314,8 +316,6 @@ class ExactSearch:
                     return "closed"
             if lp.complete and (added == 0 or self._settled(node, lp)):
                 return lp
-            if self.stop():
-                return None
 
     def _settled(self, node: Node, lp: LpSolution) -> bool:
         """Whether the bound already rounds up to what the LP's value does."""
@@ -332,13 +332,16 @@ class ExactSearch:
             scale: SCALE, or 0 in phase 1.
 
         Returns:
-            Paths of negative reduced cost, the Lagrangian bound, and Σ of the robots' least costs.
+            Paths of negative reduced cost, the Lagrangian bound, and Σ of the robots' least costs;
+            when stopped, the paths so far and bounds of 0.
         """
         at_arrival = self._load(lp)
         use = self._use(lp)
         new: list[tuple[int, Path]] = []
         total = 0
         for i in range(self.n):
+            if self.stop():
+                return new, 0, 0
             limit = int(np.floor(lp.robot_dual[i] * SCALE)) - NEGATIVE
             if scale == 0:
                 limit = min(SCALE, max(0, limit + NEGATIVE))
