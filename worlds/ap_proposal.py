@@ -118,14 +118,9 @@ def _snr_db(world: World, floor: Floor, xy_m: Array) -> Array:
     antenna = links.antenna_m(xy_m)
     snr = np.empty((len(antenna), len(links.ap_ids)))
     with Scene.of(world, floor) as scene:
-        for ap, position in enumerate(links.position_m):
-            blocked = links.snr_db(ap, antenna, False)
-            free = links.snr_db(ap, antenna, True)
+        for ap in range(len(links.ap_ids)):
             limit = world.radio.threshold_db
-            asked = np.flatnonzero((free >= limit) & (blocked < limit))
-            seen = asked[scene.cast(position, antenna[asked]) < 0]
-            blocked[seen] = free[seen]
-            snr[:, ap] = blocked
+            snr[:, ap] = links.predict(scene, ap, antenna, threshold_db=limit)
     return snr
 
 

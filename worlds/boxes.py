@@ -16,6 +16,9 @@ from worlds.floor import Boxes
 TOUCH_M = 1e-9
 """Far above the rounding of coordinates below 10 km, far below any clearance."""
 
+OVERLAP_M = 1e-6
+"""Bodies that overlap by less only touch."""
+
 _PAIRS_AT_ONCE = 1_000_000  # bounds the memory of the exact test to some 100 MB
 
 
@@ -114,6 +117,38 @@ def swept(
     along = (np.hypot(way[:, 0], way[:, 1]) + length_m) / 2
     half = np.column_stack((along, np.full(len(way), width_m / 2)))
     return (start + end) / 2, half, np.arctan2(way[:, 1], way[:, 0])
+
+
+def overlap(
+    center_a: ArrayLike,
+    half_a: ArrayLike,
+    yaw_a: ArrayLike,
+    center_b: ArrayLike,
+    half_b: ArrayLike,
+    yaw_b: ArrayLike,
+) -> NDArray[np.bool_]:
+    """Whether pairs of rectangles overlap by more than `OVERLAP_M`; touching does not count.
+
+    Args:
+        center_a, center_b: (P, 2), centres [m].
+        half_a, half_b: (P, 2) or (2,), half extents before the turn [m].
+        yaw_a, yaw_b: (P,), turns [rad].
+
+    Returns:
+        (P,) bool, by the separating axis theorem (see `footprint_hits`).
+    """
+    away = np.asarray(center_b, dtype=np.float64) - np.asarray(center_a, dtype=np.float64)
+    halves = [
+        np.broadcast_to(np.asarray(h, dtype=np.float64), away.shape) for h in (half_a, half_b)
+    ]
+    yaws = [np.broadcast_to(np.asarray(y, dtype=np.float64), len(away)) for y in (yaw_a, yaw_b)]
+    apart = np.zeros(len(away), dtype=np.bool_)
+    for phi in yaws:
+        for angle in (phi, phi + np.pi / 2):
+            distance = np.abs(np.cos(angle) * away[:, 0] + np.sin(angle) * away[:, 1])
+            reached = sum(_reach_along(h, angle - y) for h, y in zip(halves, yaws, strict=True))
+            apart |= distance > reached - OVERLAP_M
+    return ~apart
 
 
 class _Lowest:

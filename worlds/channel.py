@@ -11,6 +11,9 @@ sight is decided by a ray (`worlds.scene`), never drawn; the report's LOS probab
 
 Distances under `MIN_DISTANCE_M` count as that, since the table starts there. Beyond the table's far
 end (150 m InH, 600 m InF) the same lines go on.
+
+Oxygen absorbs α(f) · d, with α of table 7.6.1-1. Shadow fading that hangs together falls to 1/e at
+the correlation distances of tables 7.5-6 Part 2 and Part 3 (InH, InF).
 """
 
 from __future__ import annotations
@@ -60,6 +63,7 @@ class Model:
         nlos: lines whose maximum (with `los`) holds without it.
         sigma_los_db, sigma_nlos_db: standard deviations of shadow fading.
         range_m: distances the table is made for.
+        correlation_los_m, correlation_nlos_m: where shadow fading has fallen to 1/e (table 7.5-6).
     """
 
     los: Line
@@ -67,6 +71,8 @@ class Model:
     sigma_los_db: float
     sigma_nlos_db: float
     range_m: tuple[float, float]
+    correlation_los_m: float = 10.0
+    correlation_nlos_m: float = 10.0
 
 
 _INH_LOS = Line(32.4, 17.3, 20.0)
@@ -74,14 +80,37 @@ _INF_LOS = Line(31.84, 21.5, 19.0)
 _INF_SL = Line(33.0, 25.5, 20.0)
 
 MODELS: dict[str, Model] = {
-    "inh-office": Model(_INH_LOS, (Line(17.30, 38.3, 24.9),), 3.0, 8.03, (1.0, 150.0)),
-    "inh-office-optional": Model(_INH_LOS, (Line(32.4, 31.9, 20.0),), 3.0, 8.29, (1.0, 150.0)),
+    "inh-office": Model(_INH_LOS, (Line(17.30, 38.3, 24.9),), 3.0, 8.03, (1.0, 150.0), 10.0, 6.0),
+    "inh-office-optional": Model(
+        _INH_LOS, (Line(32.4, 31.9, 20.0),), 3.0, 8.29, (1.0, 150.0), 10.0, 6.0
+    ),
     "inf-sl": Model(_INF_LOS, (_INF_SL,), 4.3, 5.7, (1.0, 600.0)),
     "inf-dl": Model(_INF_LOS, (_INF_SL, Line(18.6, 35.7, 20.0)), 4.3, 7.2, (1.0, 600.0)),
     "inf-sh": Model(_INF_LOS, (Line(32.4, 23.0, 20.0),), 4.3, 5.9, (1.0, 600.0)),
     "inf-dh": Model(_INF_LOS, (Line(33.63, 21.9, 20.0),), 4.3, 4.0, (1.0, 600.0)),
 }
 """Table 7.4.1-1; the keys are the values of `radio.model` in a world."""
+
+OXYGEN_DB_PER_KM: dict[float, float] = {
+    52.0: 0.0,
+    53.0: 1.0,
+    54.0: 2.2,
+    55.0: 4.0,
+    56.0: 6.6,
+    57.0: 9.7,
+    58.0: 12.6,
+    59.0: 14.6,
+    60.0: 15.0,
+    61.0: 14.6,
+    62.0: 14.3,
+    63.0: 10.5,
+    64.0: 6.8,
+    65.0: 3.9,
+    66.0: 1.9,
+    67.0: 1.0,
+    68.0: 0.0,
+}
+"""Table 7.6.1-1: α [dB/km] by frequency [GHz]; linear in between, 0 outside."""
 
 
 def channel_model(name: str) -> Model:
@@ -121,6 +150,20 @@ def reach_m(model: str, loss_db: float, los: bool, frequency_ghz: float) -> floa
     lines = (table.los,) if los else (table.los, *table.nlos)
     reach = min(line.reach_m(loss_db, frequency_ghz) for line in lines)
     return reach if reach >= MIN_DISTANCE_M else 0.0
+
+
+def oxygen_db(distance_m: ArrayLike, frequency_ghz: float) -> Array:
+    """Absorption by oxygen of each link [dB] (7.6.1): α(f) times the distance [m]."""
+    per_km = np.interp(
+        frequency_ghz, list(OXYGEN_DB_PER_KM), list(OXYGEN_DB_PER_KM.values()), left=0.0, right=0.0
+    )
+    return np.asarray(per_km * np.asarray(distance_m, dtype=np.float64) / 1000.0)
+
+
+def correlation_m(model: str) -> tuple[float, float]:
+    """Distances at which the model's shadow fading has fallen to 1/e: with sight, without [m]."""
+    table = channel_model(model)
+    return table.correlation_los_m, table.correlation_nlos_m
 
 
 def sigma_db(model: str, los: ArrayLike) -> Array:

@@ -15,10 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from worlds.check_codes import severity
-from worlds.errands import NowhereError, cell_of, with_covered_robots, with_robots
+from worlds.errands import with_covered_robots, with_robots
 from worlds.errors import Fault, Key, WorldError
 from worlds.floor import Floor
 from worlds.generate import resolve
+from worlds.places import NowhereError, position_m, position_of
 from worlds.radio_map import RadioMap, build_radio_map
 from worlds.world import AccessPoint, RandomRobots, Robots, World
 
@@ -118,15 +119,18 @@ def check_world(
         on_progress: told (APs done, APs in all) while rays are cast.
     """
     from worlds.check_floor import floor_findings, written_findings
+    from worlds.check_lanes import lane_findings
     from worlds.check_radio import radio_findings
+    from worlds.check_survey import survey_findings
 
     found: list[Finding] = []
     site = _site(world, found, on_progress)
     found += written_findings(world)
     if site is not None:
-        found += floor_findings(site)
+        found += floor_findings(site) + lane_findings(site)
         if site.radio_map is not None:
             found += radio_findings(site, site.radio_map)
+            found += survey_findings(site, site.radio_map)
     unique = list(dict.fromkeys(found))
     kept = [finding for finding in unique if finding.code not in ignore]
     kept.sort(key=lambda f: (_ORDER[f.severity], f.code, [(str(type(k)), k) for k in f.key]))
@@ -185,13 +189,15 @@ def _sound(world: World, found: list[Finding]) -> tuple[World, Floor | None]:
         o.model_copy(update={"name": o.name or f"obstacle[{i}]"})
         for i, o in enumerate(world.obstacle)
     ]
-    pitch, body = world.hall.grid_pitch_m, world.hall.body
-    slim = body.model_copy(
-        update={
-            "width_m": min(body.width_m, pitch / math.sqrt(2)),
-            "length_m": min(body.length_m, 0.99 * pitch),
-        }
-    )
+    slim = world.hall.body
+    if world.hall.graph is None:
+        pitch = world.hall.grid_pitch_m
+        slim = slim.model_copy(
+            update={
+                "width_m": min(slim.width_m, pitch / math.sqrt(2)),
+                "length_m": min(slim.length_m, 0.99 * pitch),
+            }
+        )
     aps = tuple(ap for i, ap in enumerate(world.ap) if i not in wrong["ap"])
     sound = world.model_copy(
         update={
@@ -273,13 +279,7 @@ def _place(world: World, key: Key) -> Places:
         case _:
             return ()
     try:
-        cell = cell_of(world.hall, place)
+        position = position_of(world.hall, place)
     except NowhereError:
         return (place.at_m,) if place.at_m is not None else ()
-    return (at_m(world, cell),)
-
-
-def at_m(world: World, cell: tuple[int, int]) -> tuple[float, float]:
-    """The place of a grid position [m]."""
-    margin, pitch = world.hall.grid_margin_m, world.hall.grid_pitch_m
-    return margin + cell[0] * pitch, margin + cell[1] * pitch
+    return (position_m(world.hall, position),)

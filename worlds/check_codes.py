@@ -139,6 +139,12 @@ CODES: dict[str, Code] = {
         "their goals) where too few access points reach them to serve all at once.",
         "Spread the places, or give the access points there more capacity or a neighbour.",
     ),
+    "E119": Code(
+        "goal not reachable along the lanes",
+        "There are lanes between start and goal, but one-way ones that lead the other way: nobody "
+        "gets from the one to the other.",
+        "Add a lane, make one two-way by an edge back, or choose another goal.",
+    ),
     "W101": Code(
         "station is blocked",
         "A robot could not stand there without touching an obstacle. No robot uses it yet.",
@@ -184,6 +190,54 @@ CODES: dict[str, Code] = {
         "Some robot needs more than 80 % of `plan.horizon` even if it is alone: little room is "
         "left for waiting and detours.",
         "Raise `plan.horizon`; a larger horizon costs planning time only.",
+    ),
+    "W109": Code(
+        "node that cannot be left or entered",
+        "One-way lanes only lead to it, or only away from it. A robot that drives to the one never "
+        "comes back; the other is of use as a start only.",
+        "Add the missing edge to the LIF file or the graph.",
+    ),
+    "W110": Code(
+        "nodes that can only be entered, or only be left",
+        "Several nodes hang together, but one-way lanes only lead into them, or only out.",
+        "Add the missing edge to the LIF file or the graph.",
+    ),
+    "W111": Code(
+        "lane blocked by an obstacle",
+        "The strip a robot sweeps on the lane, half its length beyond both ends, touches an "
+        "obstacle. The lane is left out of the graph, and a node without a free lane with it.",
+        "Check `offset_m` of the graph, the obstacle and the body.",
+    ),
+    "W112": Code(
+        "nodes nearer than a body",
+        "Robots standing at both at the same time touch each other, in a heading that a lane gives "
+        "them. The rules of a plan keep robots apart at one node, not at two.",
+        "Make one node of the two, move them apart, or use smaller robots.",
+    ),
+    "W113": Code(
+        "lanes that cross, or run too near each other",
+        "Lanes without a common node whose swept strips overlap. Nothing in a plan keeps robots on "
+        "them apart; a run reports the contact.",
+        "Put a node where the lanes cross, or draw them further apart.",
+    ),
+    "W114": Code(
+        "robots following each other touch",
+        "A node may be entered in the slot in which the robot before leaves it. Where that one "
+        "moves less than a body's length in a slot, or turns off at a sharp angle, the two touch; "
+        "a run reports the contact.",
+        "Take a longer `hall.slot_s`, faster lanes or smaller robots.",
+    ),
+    "W115": Code(
+        "layout taken otherwise than it may be meant",
+        "Something the LIF file says is not known here or is simplified: trajectories are driven "
+        "straight, load restrictions are not heeded, edges to other layouts are left out.",
+        "See whether it matters for what you ask of the twin.",
+    ),
+    "W116": Code(
+        "slots too long for the lanes",
+        "A lane takes whole slots. Rounding up makes the lanes together more than 25 % slower than "
+        "they are.",
+        "Try another `hall.slot_s`; a shorter one costs planning time.",
     ),
     "W201": Code(
         "access point covers nothing",
@@ -236,6 +290,18 @@ CODES: dict[str, Code] = {
         "Positions whose best access point is farther away than the distances the model was made "
         "for (150 m for InH, 600 m for InF).",
         "Take the SNR there with caution; use an InF model for large halls.",
+    ),
+    "W210": Code(
+        "positions without measurements",
+        "The survey (`radio.measured`) has too few measurements near some positions. What stands "
+        "in is said by `gaps`: the channel model, or no signal.",
+        "Measure there, widen `radius_m`, or lower `min_samples`.",
+    ),
+    "W211": Code(
+        "measurements far from the model",
+        "An access point is measured more than 10 dB better or worse than the model on average. "
+        "Often two access points are mixed up, or power or place are not those of the hall.",
+        "Compare with `twin radio --compare`; correct the access point, or set its `offset_db`.",
     ),
     "W301": Code(
         "looks like millimetres",

@@ -6,10 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from worlds.boxes import footprint_hits
-from worlds.check import Finding, Site, at_m, places
-from worlds.errands import NowhereError, cell_of, components, robot_height_m
+from worlds.check import Finding, Site, places
+from worlds.errands import components, robot_height_m
 from worlds.errors import Key
 from worlds.floor import Floor
+from worlds.places import NowhereError, position_m, position_name, position_of
 from worlds.world import Obstacle, World
 
 UNREACHABLE_SHARE = 0.02
@@ -25,12 +26,13 @@ def written_findings(world: World) -> list[Finding]:
     found = [*_units(world), *_notes(world), *_buried(world)]
     hall, body = world.hall, world.hall.body
     speed = hall.grid_pitch_m / hall.grid_slot_s
-    if not SPEEDS_M_S[0] <= speed <= SPEEDS_M_S[1]:
+    on_grid = hall.graph is None
+    if on_grid and not SPEEDS_M_S[0] <= speed <= SPEEDS_M_S[1]:
         key: Key = ("hall", "slot_s" if hall.slot_s is not None else "speed_m_s")
         rule = f"a slot of {hall.grid_slot_s:g} s for {hall.grid_pitch_m:g} m is {speed:g} m/s"
         mend = "give slot_s in seconds or speed_m_s in metres per second"
         found.append(Finding("W302", f"{rule}; {mend}", key))
-    if body.length_m + body.width_m > hall.grid_pitch_m + 1e-9:
+    if on_grid and body.length_m + body.width_m > hall.grid_pitch_m + 1e-9:
         rule = (
             f"length {body.length_m:g} m + width {body.width_m:g} m is more than the pitch, "
             f"{hall.grid_pitch_m:g} m"
@@ -78,7 +80,7 @@ def _units(world: World) -> list[Finding]:
     # (value, largest plausible one [m], key, what it is)
     asked: list[tuple[float, float, Key, str]] = [
         (max(hall.size_m), 1000.0, ("hall", "size_m"), "side of the hall"),
-        (hall.grid_pitch_m, 20.0, ("hall", "pitch_m"), "pitch"),
+        (hall.grid_pitch_m, 20.0 if hall.graph is None else 100.0, ("hall", "pitch_m"), "pitch"),
         (body.length_m, 6.0, ("hall", "body", "length_m"), "length of a robot"),
         (body.width_m, 6.0, ("hall", "body", "width_m"), "width of a robot"),
         (body.height_m, 6.0, ("hall", "body", "height_m"), "height of a robot"),
@@ -114,31 +116,37 @@ def _notes(world: World) -> list[Finding]:
     found = []
     ends = [place for robot in world.robot for place in (robot.start, robot.goal)]
     used = {place.station for place in ends}
-    for i, station in enumerate(world.station):
-        if station.name not in used:
-            message = f"no robot starts or ends at '{station.name}'"
-            found.append(Finding("N101", message, ("station", i, "name")))
+    unused = [i for i, station in enumerate(world.station) if station.name not in used]
+    if world.hall.graph is not None and len(unused) > NAMED:  # a layout has them all
+        names = ", ".join(f"'{world.station[i].name}'" for i in unused[:NAMED])
+        message = f"no robot starts or ends at {len(unused)} of {len(world.station)} stations, "
+        found.append(Finding("N101", f"{message}{names} among them", ("station",)))
+        unused = []
+    for i in unused:
+        message = f"no robot starts or ends at '{world.station[i].name}'"
+        found.append(Finding("N101", message, ("station", i, "name")))
     for i, ap in enumerate(world.ap):
         if not ap.enabled:
             message = f"'{ap.id}' is off"
             found.append(Finding("N102", message, ("ap", i, "enabled"), (ap.position_m[:2],)))
     if world.plan.at_goal == "leave":
-        first: dict[tuple[int, int], int] = {}
+        first: dict[int, int] = {}
         for i, robot in enumerate(world.robot):
-            cell = _cell(world, i, "goal")
-            if cell is not None and (other := first.setdefault(cell, i)) != i:
+            at = _position(world, i, "goal")
+            if at is not None and (other := first.setdefault(at, i)) != i:
                 rule = f"'{robot.id}' and '{world.robot[other].id}' have the same goal"
-                message = f"{rule}, cell {list(cell)}; they arrive one after the other"
-                place = (at_m(world, cell),)
+                where = position_name(world.hall, at)
+                message = f"{rule}, {where}; they arrive one after the other"
+                place = (position_m(world.hall, at),)
                 found.append(Finding("N103", message, ("robot", i, "goal"), place))
     return found
 
 
-def _cell(world: World, robot: int, end: str) -> tuple[int, int] | None:
+def _position(world: World, robot: int, end: str) -> int | None:
     place = getattr(world.robot[robot], end)
     stations = {station.name: station for station in world.station}
     try:
-        return cell_of(world.hall, stations[place.station] if place.station else place)
+        return position_of(world.hall, stations[place.station] if place.station else place)
     except NowhereError:
         return None
 
@@ -175,17 +183,16 @@ def _blocked_stations(site: Site) -> list[Finding]:
     """W101: stations at positions where a robot cannot stand; used ones are errors already."""
     world, found = site.world, []
     used = {place.station for robot in world.robot for place in (robot.start, robot.goal)}
-    vertex = site.floor.vertex_grid()
     for i, station in enumerate(world.station):
         try:
-            column, row = cell_of(world.hall, station)
+            position = position_of(world.hall, station)
         except NowhereError:
             continue
-        if vertex[row, column] < 0 and station.name not in used:
-            box = _blocker(site, np.array([at_m(world, (column, row))]))[0]
+        if site.floor.vertex_at(position) < 0 and station.name not in used:
+            place = (position_m(world.hall, position),)
+            box = _blocker(site, np.array(place))[0]
             rule = f"'{station.name}' is at a position blocked by '{box}'"
             message = f"{rule}; move one of them"
-            place = (at_m(world, (column, row)),)
             found.append(Finding("W101", message, ("station", i), place))
     return found
 
@@ -201,7 +208,9 @@ def _blocker(site: Site, xy_m: NDArray[np.float64]) -> list[str]:
 
 def _pockets(site: Site, component: NDArray[np.int32]) -> list[Finding]:
     """W103: pieces of floor that freeing a single cell would join to the largest one."""
-    floor, world = site.floor, site.world
+    floor, hall = site.floor, site.world.hall
+    if floor.node is not None:
+        return []  # a graph has no blocked cells between its pieces
     grid = floor.vertex_grid()
     piece = np.where(grid >= 0, component[grid], -1)
     padded = np.pad(piece, 1, constant_values=-1)
@@ -212,7 +221,7 @@ def _pockets(site: Site, component: NDArray[np.int32]) -> list[Finding]:
     behind = sorted(set(around[:, doors].ravel().tolist()) - {-1, 0})
     size = int(np.isin(component, behind).sum())
     row, column = np.nonzero(doors)
-    xy = np.array([at_m(world, (int(c), int(r))) for c, r in zip(column, row, strict=True)])
+    xy = np.array([position_m(hall, p) for p in (row * floor.columns + column).tolist()])
     said = [
         f"[{c}, {r}] ({name!r})"
         for c, r, name in zip(column[:NAMED], row[:NAMED], _blocker(site, xy[:NAMED]), strict=True)
@@ -234,10 +243,10 @@ def _passages(floor: Floor, component: NDArray[np.int32]) -> list[Finding]:
     if not len(cut):
         return []
     worst = int(cut[np.argmax(lost[cut])])
-    cell = floor.vertex_cell[worst].tolist()
     many = f"{len(cut)} positions are each" if len(cut) > 1 else "one position is"
     message = (
-        f"{many} the only way to {PASSAGE_SHARE:.0%} of the floor or more; worst is cell {cell}, "
+        f"{many} the only way to {PASSAGE_SHARE:.0%} of the floor or more; worst is "
+        f"{floor.vertex_name(worst)}, "
         f"which holds {int(lost[worst])} of {room} positions apart; widen it or open a second way"
     )
     return [Finding("W105", message, ("hall",), places(floor.vertex_xy_m[cut]))]

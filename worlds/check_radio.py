@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from worlds.channel import channel_model
-from worlds.check import Finding, Site, at_m, places
-from worlds.errands import NowhereError, cell_of, components
+from worlds.check import Finding, Site, places
+from worlds.errands import components
 from worlds.errors import Key
 from worlds.floor import Floor
+from worlds.places import NowhereError, position_m, position_of
 from worlds.radio_map import RadioMap, kept_edges, kept_vertices
 from worlds.world import World
 
@@ -66,7 +67,7 @@ def _errands(site: Site, vertex_ok: Bools, passable: Bools, part: Ints) -> list[
         start, goal = int(floor.start[k]), int(floor.goal[k])
         key: Key = ("robot", index[name], "goal") if name in index else ("plan", "horizon")
         ends = places(floor.vertex_xy_m[[start, goal]])
-        cells = [floor.vertex_cell[v].tolist() for v in (start, goal)]
+        cells = [floor.vertex_name(v).removeprefix("cell ") for v in (start, goal)]
         if not np.isfinite(slots[k]):
             rule = f"'{name}': every way from {cells[0]} to {cells[1]} leads through a hole"
             message = f"{rule} in the coverage; add an access point or choose another goal"
@@ -172,16 +173,15 @@ def _stations(site: Site, vertex_ok: Bools) -> list[Finding]:
     """W102: stations without coverage that no robot uses."""
     world, found = site.world, []
     used = {place.station for robot in world.robot for place in (robot.start, robot.goal)}
-    grid = site.floor.vertex_grid()
     for i, station in enumerate(world.station):
         try:
-            column, row = cell_of(world.hall, station)
+            position = position_of(world.hall, station)
         except NowhereError:
             continue
-        vertex = grid[row, column]
+        vertex = site.floor.vertex_at(position)
         if vertex >= 0 and not vertex_ok[vertex] and station.name not in used:
             message = f"no access point reaches '{station.name}'; move it or add coverage"
-            place = (at_m(world, (column, row)),)
+            place = (position_m(world.hall, position),)
             found.append(Finding("W102", message, ("station", i), place))
     return found
 

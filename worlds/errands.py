@@ -12,17 +12,14 @@ from numpy.typing import NDArray
 from worlds.boxes import footprint_hits
 from worlds.errors import Fault, Key, WorldError
 from worlds.floor import Floor
+from worlds.places import NowhereError, position_m, position_name, position_of
 from worlds.streams import stream
-from worlds.world import Hall, Place, RandomRobots, Station, World
+from worlds.world import Place, RandomRobots, World
 
 if TYPE_CHECKING:
     from worlds.radio_map import RadioMap
 
 Mask = NDArray[np.bool_]
-
-
-class NowhereError(ValueError):
-    """A place lies outside the grid; the text says which grid."""
 
 
 def with_robots(
@@ -93,38 +90,6 @@ def components(floor: Floor, vertex_ok: Mask, edge_ok: Mask) -> NDArray[np.int32
     return ranked
 
 
-def cell_of(hall: Hall, place: Place | Station) -> tuple[int, int]:
-    """Column and row of a place given as a cell or in metres (then the nearest position).
-
-    Raises:
-        NowhereError: beyond the grid, or more than half a pitch from every position.
-    """
-    columns, rows = hall.grid_positions
-    if place.cell is not None:
-        if not (0 <= place.cell[0] < columns and 0 <= place.cell[1] < rows):
-            given = f"cell {list(place.cell)} is outside the grid of {columns} x {rows} positions"
-            raise NowhereError(f"{given}; columns are 0 to {columns - 1}, rows 0 to {rows - 1}")
-        return place.cell
-    at_m = place.at_m or (np.nan, np.nan)
-    margin, pitch = hall.grid_margin_m, hall.grid_pitch_m
-    steps = tuple((c - margin) / pitch for c in at_m)
-    column = min(max(round(steps[0]), 0), columns - 1)
-    row = min(max(round(steps[1]), 0), rows - 1)
-    if max(abs(steps[0] - column), abs(steps[1] - row)) > 0.5 + 1e-9:
-        last = (margin + (columns - 1) * pitch, margin + (rows - 1) * pitch)
-        grid = f"the grid spans ({margin:g}, {margin:g}) to ({last[0]:.6g}, {last[1]:.6g}) m"
-        given = f"{list(at_m)} is more than half a pitch from every position"
-        raise NowhereError(f"{given}; {grid}{millimetres(at_m, hall)}")
-    return column, row
-
-
-def millimetres(xy: tuple[float, float], hall: Hall) -> str:
-    """A hint for coordinates outside the hall that were inside if they are millimetres."""
-    inside = all(0 <= c / 1000 <= size for c, size in zip(xy, hall.size_m, strict=True))
-    likely = all(c == 0 or c >= 100 for c in xy)
-    return f"; millimetres? then write {[c / 1000 for c in xy]}" if inside and likely else ""
-
-
 def _graph(floor: Floor, vertex_ok: Mask, edge_ok: Mask):  # type: ignore[no-untyped-def]
     """Directed adjacency of the usable floor as a scipy sparse array."""
     from scipy.sparse import csr_array
@@ -175,24 +140,23 @@ def _listed(world: World, floor: Floor, vertex_ok: Mask) -> tuple[list[str], lis
         mend = "list some ([[robot]] with id, start and goal) or draw some ([robots.random])"
         faults.append(Fault((), f"there is no robot; {mend}", "E114"))
     stations = {station.name: station for station in world.station}
-    vertices = floor.vertex_grid()
     ends: dict[str, list[int]] = {"start": [], "goal": []}
     for i, robot in enumerate(world.robot):
         for end, place in (("start", robot.start), ("goal", robot.goal)):
             key: Key = ("robot", i, end)
             ends[end].append(-1)
             try:
-                cell = cell_of(world.hall, stations[place.station] if place.station else place)
+                at = position_of(world.hall, stations[place.station] if place.station else place)
             except NowhereError as error:
                 if place.station is None:  # a station outside is told of at the station
                     faults.append(Fault(key, str(error), "E105"))
                 continue
-            vertex = int(vertices[cell[1], cell[0]])
+            vertex = floor.vertex_at(at)
             if vertex < 0:
-                faults.append(Fault(key, _blocked(world, floor, place, cell), "E106"))
+                faults.append(Fault(key, _blocked(world, floor, place, at), "E106"))
             elif not vertex_ok[vertex]:
                 mend = "move it, or add an access point or power"
-                message = f"{_name(place, cell)} is in no AP's coverage; {mend}"
+                message = f"{_name(world, place, at)} is in no AP's coverage; {mend}"
                 faults.append(Fault(key, message, "E107"))
             else:
                 ends[end][-1] = vertex
@@ -206,23 +170,24 @@ def _listed(world: World, floor: Floor, vertex_ok: Mask) -> tuple[list[str], lis
     return [robot.id for robot in world.robot], ends["start"], ends["goal"]
 
 
-def _name(place: Place, cell: tuple[int, int]) -> str:
-    at = f"cell {list(cell)}"
+def _name(world: World, place: Place, position: int) -> str:
+    at = position_name(world.hall, position)
     return f"'{place.station}' ({at})" if place.station else at
 
 
-def _blocked(world: World, floor: Floor, place: Place, cell: tuple[int, int]) -> str:
+def _blocked(world: World, floor: Floor, place: Place, position: int) -> str:
     hall = world.hall
     half = max(hall.body.length_m, hall.body.width_m) / 2
-    xy = [hall.grid_margin_m + c * hall.grid_pitch_m for c in cell]
+    xy = position_m(hall, position)
     hit = footprint_hits(floor.boxes, xy, (half, half), body_height_m=robot_height_m(world))
     box = int(hit[0])
     mend = "take a free place or move the obstacle"
+    name = _name(world, place, position)
+    if box < 0:  # a node whose every lane is blocked, though not it itself
+        return f"{name} is blocked: obstacles stand in all its lanes; {mend}"
     if box >= len(world.obstacle):
         mend = "take a free place or another obstacles.random.seed"
-    return (
-        f"{_name(place, cell)} is blocked: a robot there touches '{floor.boxes.name[box]}'; {mend}"
-    )
+    return f"{name} is blocked: a robot there touches '{floor.boxes.name[box]}'; {mend}"
 
 
 def robot_height_m(world: World) -> float:
@@ -249,6 +214,10 @@ def _cut_off(world: World, floor: Floor, start: list[int], goal: list[int]) -> l
     all_v = np.ones(len(floor.vertex_xy_m), dtype=np.bool_)
     all_e = np.ones(len(floor.edge_uv), dtype=np.bool_)
     component = components(floor, all_v, all_e)
+    either_way = component
+    if floor.edge_oneway.any():
+        two_way = replace(floor, edge_oneway=np.zeros_like(floor.edge_oneway))
+        either_way = components(two_way, all_v, all_e)
     faults = []
     for i, (u, v) in enumerate(zip(start, goal, strict=True)):
         if min(u, v) < 0 or component[u] == component[v]:
@@ -257,8 +226,15 @@ def _cut_off(world: World, floor: Floor, start: list[int], goal: list[int]) -> l
             ahead = breadth_first_order(_graph(floor, all_v, all_e), u, return_predecessors=False)
             if v in ahead:
                 continue
-        cells = [list(map(int, floor.vertex_cell[vertex])) for vertex in (u, v)]
-        rule = f"no free way leads from start {cells[0]} to goal {cells[1]}"
-        message = f"{rule}; open a gap or choose another goal"
-        faults.append(Fault(("robot", i, "goal"), message, "E109"))
+        start_name, goal_name = (
+            floor.vertex_name(w) if floor.node is not None else floor.vertex_cell[w].tolist()
+            for w in (u, v)
+        )
+        rule = f"no free way leads from start {start_name} to goal {goal_name}"
+        key: Key = ("robot", i, "goal")
+        if either_way[u] == either_way[v]:
+            mend = "along the one-way lanes; add a lane or choose another goal"
+            faults.append(Fault(key, f"{rule} {mend}", "E119"))
+        else:
+            faults.append(Fault(key, f"{rule}; open a gap or choose another goal", "E109"))
     return faults

@@ -13,7 +13,6 @@ from pathlib import Path
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import PolyCollection, QuadMesh
 from matplotlib.colors import BoundaryNorm, Colormap, Normalize
 from matplotlib.figure import Figure
@@ -27,13 +26,9 @@ from worlds.floor import Boxes, Floor
 from worlds.radio_map import RadioMap
 from worlds.world import World
 
-MAX_AP_PANELS = 6
-"""APs that get a panel of their own in `radio_figure`."""
-
 SUFFIXES = (".png", ".svg")
 
 _GROUND, _OBSTACLE, _INK = "#ececec", "#5a5a5a", "#111111"
-_PANEL_IN2 = 13.0  # drawing area of a panel [square inches]
 
 
 def draw_hall(
@@ -53,6 +48,7 @@ def draw_hall(
     corners = footprints_m(floor.boxes)
     if len(corners):
         ax.add_collection(PolyCollection(list(corners), fc=_OBSTACLE, ec="white", lw=0.3, zorder=3))
+    _draw_one_way(ax, floor)
     if names:
         for index in range(len(world.obstacle)):
             x, y = floor.boxes.center_m[index, :2]
@@ -105,19 +101,22 @@ def draw_coverage(
         The coloured cells, for a colour bar.
     """
     snr = radio_map.ranked_snr_db(1) if ap is None else radio_map.snr_db[:, ap]
-    mesh = _draw_cells(ax, floor, snr, "viridis", norm or snr_norm(radio_map))
-    _hatch(ax, floor, snr < radio_map.threshold_db, "white")
+    mesh = draw_cells(ax, floor, snr, "viridis", norm or snr_norm(radio_map))
+    hatch(ax, floor, snr < radio_map.threshold_db, "white")
     return mesh
 
 
 def draw_coverage_count(ax: Axes, floor: Floor, radio_map: RadioMap) -> QuadMesh:
     """How many APs cover each vertex (k-coverage); uncovered cells are hatched."""
-    count = radio_map.coverage_count
-    most = max(1, len(radio_map.ap_ids))
+    return draw_count(ax, floor, radio_map.coverage_count, max(1, len(radio_map.ap_ids)))
+
+
+def draw_count(ax: Axes, floor: Floor, count: NDArray[np.integer], most: int) -> QuadMesh:
+    """A number per vertex (V,), 0 … `most`, in steps of colour; cells with 0 are hatched."""
     colours = mpl.colormaps["YlGnBu"].resampled(most + 1)
     norm = BoundaryNorm(np.arange(most + 2) - 0.5, most + 1)
-    mesh = _draw_cells(ax, floor, count.astype(np.float64), colours, norm)
-    _hatch(ax, floor, count == 0, _INK)
+    mesh = draw_cells(ax, floor, count.astype(np.float64), colours, norm)
+    hatch(ax, floor, count == 0, _INK)
     return mesh
 
 
@@ -130,56 +129,6 @@ def snr_norm(radio_map: RadioMap) -> Normalize:
     return Normalize(
         5 * math.floor(min(low, threshold - 5) / 5), 5 * math.ceil(max(high, threshold + 5) / 5)
     )
-
-
-def radio_figure(world: World, floor: Floor, radio_map: RadioMap) -> Figure:
-    """Heat maps of the APs, best SNR, and k-coverage on one page.
-
-    Of more than `MAX_AP_PANELS` APs those that cover least are shown, and the title says so.
-    """
-    shown = _weakest(radio_map)
-    panels = len(shown) + 2
-    width, depth = world.hall.size_m
-    columns = _columns(panels, width / depth)
-    rows = math.ceil(panels / columns)
-    panel_w = min(max(math.sqrt(_PANEL_IN2 * width / depth), 2.8), 6.5)
-    panel_h = min(max(panel_w * depth / width, 0.9), 6.5)
-    size = (columns * panel_w + 2.2, rows * (panel_h + 0.62) + 0.5)
-    figure = Figure(figsize=size, layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.subplots(rows, columns, squeeze=False).ravel()
-    norm = snr_norm(radio_map)
-
-    for ax, ap in zip(axes, shown, strict=False):
-        draw_coverage(ax, floor, radio_map, ap=ap, norm=norm)
-        draw_hall(ax, world, floor, highlight=radio_map.ap_ids[ap])
-        share = radio_map.covered[:, ap].mean() if len(radio_map.snr_db) else 0.0
-        ax.set_title(f"{radio_map.ap_ids[ap]} covers {share:.1%}")
-    best, count = axes[len(shown) : panels]
-    snr = draw_coverage(best, floor, radio_map, norm=norm)
-    best.set_title(f"best AP: {radio_map.covered_share():.1%} covered")
-    aps = draw_coverage_count(count, floor, radio_map)
-    count.set_title(f"{radio_map.covered_share(2):.1%} covered by two APs or more")
-    for ax in (best, count):
-        draw_hall(ax, world, floor)
-    for place, ax in enumerate(axes):
-        if place >= panels:
-            ax.set_axis_off()
-        if place + columns < panels:
-            ax.set_xlabel("")
-        if place % columns:
-            ax.set_ylabel("")
-
-    # The bar of the last panel first: it stands next to it.
-    bar = figure.colorbar(aps, ax=axes, shrink=0.9, aspect=40, pad=0.01)
-    bar.set_label("APs that cover the place (last panel)")
-    bar.set_ticks(range(0, len(radio_map.ap_ids) + 1, 1 + len(radio_map.ap_ids) // 10))
-    bar = figure.colorbar(snr, ax=axes, extend="both", shrink=0.9, aspect=40, pad=0.02)
-    bar.set_label("SNR [dB] (other panels; line: threshold)")
-    bar.ax.axhline(radio_map.threshold_db, color="white", lw=3)
-    bar.ax.axhline(radio_map.threshold_db, color=_INK, lw=1.5)
-    figure.suptitle(_headline(world, radio_map, shown), weight="bold", size=13)
-    return figure
 
 
 def save(figure: Figure, path: Path) -> None:
@@ -216,65 +165,50 @@ def footprints_m(boxes: Boxes) -> NDArray[np.float64]:
     return np.asarray(turned + boxes.center_m[:, None, :2])
 
 
-def _draw_cells(
+def draw_cells(
     ax: Axes, floor: Floor, value: NDArray[np.float64], colours: str | Colormap, norm: Normalize
 ) -> QuadMesh:
     """A value per vertex as coloured cells; blocked positions stay ground."""
     ax.set_facecolor(_GROUND)
     grid = floor.vertex_grid()
     cells = np.ma.masked_where(grid < 0, np.append(value, 0.0)[grid])
-    first = _first_m(floor)
     x, y = (
-        first[axis] + floor.pitch_m * (np.arange(count + 1) - 0.5)
+        floor.origin_m[axis] + floor.cell_m * (np.arange(count + 1) - 0.5)
         for axis, count in enumerate((floor.columns, floor.rows))
     )
     return ax.pcolormesh(x, y, cells, cmap=colours, norm=norm, rasterized=True, zorder=1)
 
 
-def _hatch(ax: Axes, floor: Floor, chosen: NDArray[np.bool_], colour: str) -> None:
+def _draw_one_way(ax: Axes, floor: Floor) -> None:
+    """An arrow head in the middle of each one-way lane."""
+    u, v = floor.edge_uv[floor.edge_oneway].T
+    if not len(u):
+        return
+    way = floor.vertex_xy_m[v] - floor.vertex_xy_m[u]
+    length = np.hypot(way[:, 0], way[:, 1])[:, None]
+    head = way / length * np.minimum(0.4 * floor.pitch_m, 0.5 * length)
+    tip = (floor.vertex_xy_m[u] + floor.vertex_xy_m[v] + head) / 2
+    left = np.column_stack((-head[:, 1], head[:, 0])) / 2
+    corners = np.stack((tip, tip - head + left, tip - head - left), axis=1)
+    ax.add_collection(
+        PolyCollection(list(corners), fc=_INK, ec="white", lw=0.5, alpha=0.45, zorder=3.5)
+    )
+
+
+def hatch(ax: Axes, floor: Floor, chosen: NDArray[np.bool_], colour: str) -> None:
     """Hatch the cells of the chosen vertices, all as one shape."""
-    low = floor.vertex_xy_m[chosen] - floor.pitch_m / 2
+    cell = floor.vertex_cell[chosen]
+    if floor.raster_m is not None:
+        grid = floor.vertex_grid()
+        cell = np.argwhere((grid >= 0) & np.append(chosen, False)[grid])[:, ::-1].astype(np.int32)
+    low = np.array(floor.origin_m) + floor.cell_m * (cell - 0.5)
     if not len(low):
         return
-    steps = floor.pitch_m * np.array([(0, 0), (1, 0), (1, 1), (0, 1), (0, 0)])
+    steps = floor.cell_m * np.array([(0, 0), (1, 0), (1, 1), (0, 1), (0, 0)])
     corners = (low[:, None] + steps).reshape(-1, 2)
     codes = np.tile([Outline.MOVETO, *[Outline.LINETO] * 3, Outline.CLOSEPOLY], len(low))
     shape = Outline(corners, codes)
     ax.add_patch(PathPatch(shape, fc="none", ec=colour, hatch="////", lw=0, zorder=2))
-
-
-def _first_m(floor: Floor) -> NDArray[np.float64]:
-    """(2,) the place of grid position (0, 0) [m]."""
-    if not len(floor.vertex_xy_m):
-        return np.zeros(2)
-    return np.asarray(floor.vertex_xy_m[0] - floor.pitch_m * floor.vertex_cell[0])
-
-
-def _weakest(radio_map: RadioMap) -> list[int]:
-    """The APs that get a panel, in the world's order."""
-    order = np.argsort(radio_map.covered.sum(axis=0), kind="stable")
-    return sorted(order[:MAX_AP_PANELS].tolist())
-
-
-def _columns(panels: int, aspect: float) -> int:
-    """How many panels of that width : height stand side by side on a page of about 3 : 2.
-
-    An empty place is worth avoiding at the price of a page twice as wide or high.
-    """
-
-    def cost(columns: int) -> float:
-        page = columns**2 * aspect / panels
-        return abs(math.log(page / 1.5)) + 0.7 * (-panels % columns)
-
-    return min(range(1, min(panels, 4) + 1), key=cost)
-
-
-def _headline(world: World, radio_map: RadioMap, shown: list[int]) -> str:
-    """Name of the world and how to read the picture."""
-    aps = len(radio_map.ap_ids)
-    which = f", the {len(shown)} of {aps} APs that cover least" if len(shown) < aps else ""
-    reading = f"hatched: SNR below {radio_map.threshold_db:g} dB, not covered"
-    return f"{world.name}: radio map{which} ({reading})"
 
 
 def _write(ax: Axes, x: float, y: float, text: str, *, size: int, ha: str, va: str) -> None:

@@ -5,22 +5,17 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from worlds.boxes import contains, footprint_hits, swept
-from worlds.errands import (
-    NowhereError,
-    cell_of,
-    millimetres,
-    robot_height_m,
-    with_robots,
-)
+from worlds.errands import robot_height_m, with_robots
 from worlds.errors import Fault, WorldError
 from worlds.floor import Boxes, Floor
+from worlds.lanes import graph_floor
+from worlds.places import NowhereError, millimetres, position_of, positions_m
 from worlds.streams import stream
 from worlds.world import World
 
-__all__ = ["boxes_of", "positions_m", "resolve", "with_robots"]
+__all__ = ["boxes_of", "resolve", "with_robots"]
 
 
 def resolve(world: World) -> Floor:
@@ -34,17 +29,41 @@ def resolve(world: World) -> Floor:
     the robot and its antenna are driven under.
 
     Vertices are numbered row by row from (0, 0); edges are sorted by (u, v), u < v, and take one
-    slot. Random robots are drawn as if all were covered; see `with_robots`.
+    slot. Of a graph see `worlds.lanes.graph_floor`. Random robots are drawn as if all were covered;
+    see `with_robots`.
 
     Raises:
         WorldError: with all that is wrong, keys as in the world.
     """
-    hall, body = world.hall, world.hall.body
-    faults = _body_faults(world)
     boxes = boxes_of(world)
-    faults += _outside(world, boxes)
+    graph = world.hall.graph
+    if graph is not None:
+        faults = _outside(world, boxes)
+        floor = graph_floor(world, graph, boxes, robot_height_m(world))
+        positions = f"{len(graph.node)} nodes of the graph"
+    else:
+        faults = _body_faults(world) + _outside(world, boxes)
+        floor = _grid_floor(world, boxes)
+        positions = f"{floor.columns} x {floor.rows} positions"
+    if not len(floor.vertex_xy_m):
+        rule = f"none of the {positions} is free of obstacles"
+        mend = "remove some or give a smaller pitch or body"
+        faults.append(Fault(("hall",), f"{rule}; {mend}", "E113"))
+    else:
+        try:
+            floor = with_robots(world, floor)
+        except WorldError as error:
+            faults += error.faults
+    if faults:
+        raise WorldError(faults)
+    return floor
+
+
+def _grid_floor(world: World, boxes: Boxes) -> Floor:
+    """Vertices and edges of a hall with a grid, without robots."""
+    hall, body = world.hall, world.hall.body
     columns, rows = hall.grid_positions
-    xy = positions_m(world)
+    xy = positions_m(hall)
     height = robot_height_m(world)
 
     half = max(body.length_m, body.width_m) / 2
@@ -88,28 +107,7 @@ def resolve(world: World) -> Floor:
         none,
     ):
         array.flags.writeable = False
-
-    if not free.any():
-        rule = f"none of the {columns} x {rows} positions is free of obstacles"
-        mend = "remove some or give a smaller pitch or body"
-        faults.append(Fault(("hall",), f"{rule}; {mend}", "E113"))
-    else:
-        try:
-            floor = with_robots(world, floor)
-        except WorldError as error:
-            faults += error.faults
-    if faults:
-        raise WorldError(faults)
     return floor
-
-
-def positions_m(world: World) -> NDArray[np.float64]:
-    """(rows * columns, 2), all positions of the grid [m], row by row from (0, 0)."""
-    hall = world.hall
-    columns, rows = hall.grid_positions
-    x = hall.grid_margin_m + hall.grid_pitch_m * np.arange(columns)
-    y = hall.grid_margin_m + hall.grid_pitch_m * np.arange(rows)
-    return np.column_stack((np.tile(x, rows), np.repeat(y, columns)))
 
 
 def boxes_of(world: World) -> Boxes:
@@ -124,7 +122,7 @@ def boxes_of(world: World) -> Boxes:
     yaw = [math.radians(o.yaw_deg) for o in world.obstacle]
     if world.obstacles is not None:
         random = world.obstacles.random
-        xy = positions_m(world)
+        xy = positions_m(world.hall)
         columns = world.hall.grid_positions[0]
         order = stream(random.seed, "obstacles").random(len(xy)).argsort(kind="stable")
         for p in np.sort(order[: round(random.share * len(xy))]):
@@ -179,9 +177,9 @@ def _outside(world: World, boxes: Boxes) -> list[Fault]:
 
     for i, station in enumerate(world.station):
         try:
-            cell_of(hall, station)
+            position_of(hall, station)
         except NowhereError as error:
-            key = "cell" if station.cell is not None else "at_m"
+            key = next(k for k in type(station).exactly_one if getattr(station, k) is not None)
             faults.append(Fault(("station", i, key), f"'{station.name}': {error}", "E104"))
 
     if not any(ap.enabled for ap in world.ap):

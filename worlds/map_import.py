@@ -210,8 +210,8 @@ def import_grid(grid: BlockedGrid, params: ImportParams) -> ImportedWorld:
     world = bare.model_copy(update={"ap": proposal.aps})
     radio_map = build_radio_map(world, first, exact=False)
     floor = with_covered_robots(world, first, radio_map)
-    longest = _longest_errand(floor, kept_vertices(radio_map), kept_edges(floor, radio_map))
-    horizon = params.horizon or max(20, 5 * math.ceil((1.2 * longest + 10) / 5))
+    longest = longest_errand_slots(floor, kept_vertices(radio_map), kept_edges(floor, radio_map))
+    horizon = params.horizon or default_horizon(longest)
     world = world.model_copy(update={"plan": PlanOptions(horizon=horizon)})
     if longest > horizon:
         hints.append(
@@ -275,7 +275,9 @@ def _all(array: NDArray[np.generic]) -> NDArray[np.bool_]:
     return np.ones(len(array), dtype=np.bool_)
 
 
-def _longest_errand(floor: Floor, vertices: NDArray[np.int32], edges: NDArray[np.int32]) -> int:
+def longest_errand_slots(
+    floor: Floor, vertices: NDArray[np.int32], edges: NDArray[np.int32]
+) -> int:
     """Slots of the longest of the shortest paths, each robot alone, coverage respected."""
     from scipy.sparse import csr_array
     from scipy.sparse.csgraph import dijkstra
@@ -284,11 +286,13 @@ def _longest_errand(floor: Floor, vertices: NDArray[np.int32], edges: NDArray[np
     usable[vertices] = True
     kept = edges[usable[floor.edge_uv[edges]].all(axis=1)]
     u, v = floor.edge_uv[kept].T
+    slots, back = floor.edge_slots[kept].astype(np.float64), ~floor.edge_oneway[kept]
     n = len(usable)
-    graph = csr_array((floor.edge_slots[kept].astype(np.float64), (u, v)), shape=(n, n))
+    ends = (np.concatenate((u, v[back])), np.concatenate((v, u[back])))
+    graph = csr_array((np.concatenate((slots, slots[back])), ends), shape=(n, n))
     longest = 0.0
     for start, goal in zip(floor.start.tolist(), floor.goal.tolist(), strict=True):
-        distance = dijkstra(graph, directed=False, indices=start)[goal]
+        distance = dijkstra(graph, indices=start)[goal]
         longest = max(longest, float(distance) if math.isfinite(distance) else 0.0)
     return int(longest)
 
@@ -322,10 +326,6 @@ def _text(
         "[[robot]]": ["Errands of the scenario."],
         "[plan]": [f"(default) the longest errand alone takes {longest} slots."],
     }
-    lines: list[str] = []
-    for line in body:
-        lines += [f"# {text}" for text in remarks.pop(line, [])]
-        lines.append(line)
     obstacles = [
         "",
         f"# {len(world.obstacle)} boxes, disjoint, exactly the blocked cells of the map. Their",
@@ -341,8 +341,26 @@ def _text(
             f"size_m = [{o.size_m[0]!r}, {o.size_m[1]!r}]",
             f"height_m = {o.height_m!r}",
         ]
-    written = [f"# {text}".rstrip() for text in head]
-    return "\n".join([*written, "", *lines, *(obstacles if world.obstacle else [])]) + "\n"
+    lines = commented(head, body, remarks)
+    return "\n".join([*lines, *(obstacles if world.obstacle else [])]) + "\n"
+
+
+def commented(head: list[str], body: list[str], remarks: dict[str, list[str]]) -> list[str]:
+    """Lines of TOML under a head of comments, with comments before the lines of `remarks`.
+
+    A line that occurs several times has its comment once, at the first.
+    """
+    lines = [f"# {text}".rstrip() for text in head] + [""]
+    left = dict(remarks)
+    for line in body:
+        lines += [f"# {text}" for text in left.pop(line, [])]
+        lines.append(line)
+    return lines
+
+
+def default_horizon(longest: int) -> int:
+    """Slots to plan for when the longest errand alone takes this many."""
+    return max(20, 5 * math.ceil((1.2 * longest + 10) / 5))
 
 
 def _capacity(world: World, ap: AccessPoint) -> int:

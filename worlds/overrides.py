@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from copy import deepcopy
 from typing import Any
 
 from worlds.errors import Fault, Key
-from worlds.part import nearest
+from worlds.part import Part, given, nearest
 
-_NAMED_BY = {"ap": "id", "robot": "id", "station": "name", "obstacle": "name"}
+_NAMED_BY = {"ap": "id", "robot": "id", "station": "name", "obstacle": "name", "event": "name"}
 _STEP = re.compile(r"""\s*(?:"([^"]*)"|'([^']*)'|([^."'\[\]]+)|\[(\d+)\])\s*""")
 
 
@@ -30,12 +31,14 @@ def set_value(data: dict[str, Any], path: str, value: object) -> Key:
 
     A step is a key, or the id, name or index of an element of a list (`ap.ap3`, `ap.3`, `ap[3]`);
     quote a step that contains a dot. Tables that the path implies are made. None takes a key back
-    to its default. Whether key and value suit the world is for the validation to say.
+    to its default. Whether key and value suit the world is for the validation to say. The value is
+    copied: a later path that leads into it leaves the caller's own as it is.
 
     Raises:
         BadPathError: an element that is not there, or a path through something without keys.
     """
     *tables, last = _steps(path)
+    value = deepcopy(value)
     at: Any = data
     key: Key = ()
     for step in tables:
@@ -53,6 +56,28 @@ def set_value(data: dict[str, Any], path: str, value: object) -> Key:
         raise BadPathError(path, f"an element of a list cannot be taken out; {hint}")
     at[found] = value
     return (*key, found)
+
+
+def value_at(part: Part, path: str) -> object:
+    """What a finished part says at a dotted path, its defaults included.
+
+    Raises:
+        BadPathError: nothing can be there.
+    """
+    at: object = part
+    for step in _steps(path):
+        if isinstance(at, Part) and step in type(at).model_fields:
+            at = getattr(at, step)
+        elif isinstance(at, tuple):
+            named = [e for e in at if step in (given(e, "id"), given(e, "name"))]
+            if not named and not (step.isdecimal() and int(step) < len(at)):
+                raise BadPathError(path, f"nothing is called '{step}'")
+            at = named[0] if named else at[int(step)]
+        elif at is None:
+            return None  # a table that was left out
+        else:
+            raise BadPathError(path, f"'{step}' is not a known key")
+    return at
 
 
 def _steps(path: str) -> list[str]:

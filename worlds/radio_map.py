@@ -271,15 +271,21 @@ def build_radio_map(
     try:
         if scene.grow_m != ray_growth_m(world):
             raise ValueError("the scene's boxes are not grown as the world asks; use Scene.of")
-        blocker = np.full((len(at_vertex), len(links.ap_ids)), -1, dtype=np.int32)
-        for ap, position in enumerate(links.position_m):
-            blocker[:, ap] = scene.cast(position, at_vertex)
+        shape = (len(at_vertex), len(links.ap_ids))
+        blocker, blockage = np.empty(shape, dtype=np.int32), np.empty(shape)
+        for ap in range(len(links.ap_ids)):
+            sight = links.look(scene, ap, at_vertex)
+            blocker[:, ap], blockage[:, ap] = sight.blocker, sight.blockage_db
         los = blocker < 0
         fading = links.fading_db(floor, los)
+        if world.radio.measured is not None:
+            from worlds.survey import measured_fading_db
+
+            fading = measured_fading_db(world, floor, links, at_vertex, los, blockage, fading)
         snr = np.empty(los.shape)
         edge_snr = np.empty((len(floor.edge_uv), world.radio.samples_per_edge, len(links.ap_ids)))
         for ap in range(len(links.ap_ids)):
-            snr[:, ap] = links.snr_db(ap, at_vertex, los[:, ap], fading[:, ap])
+            snr[:, ap] = links.snr_db(ap, at_vertex, los[:, ap], fading[:, ap], blockage[:, ap])
             # The ends are the vertices themselves: no ray is cast twice.
             edge_snr[:, 0, ap] = snr[floor.edge_uv[:, 0], ap]
             edge_snr[:, -1, ap] = snr[floor.edge_uv[:, 1], ap]
@@ -323,15 +329,14 @@ def _inner_snr_db(
     antenna = links.antenna_m(edge_xy_m(floor, edge, fraction))
     at_u, at_v = fading_db[floor.edge_uv[edge, 0]], fading_db[floor.edge_uv[edge, 1]]
     faded = _between(at_u, at_v, fraction)
-    snr = links.snr_db(ap, antenna, False, faded)
-    in_sight = links.snr_db(ap, antenna, True, faded)
-    if exact:
-        matters = in_sight != snr
-    else:
-        matters = (in_sight >= world.radio.threshold_db) & (snr < world.radio.threshold_db)
-    asked = np.flatnonzero(matters)
-    free = asked[scene.cast(links.position_m[ap], antenna[asked]) < 0]
-    snr[free] = in_sight[free]
+    snr = links.predict(
+        scene,
+        ap,
+        antenna,
+        free_fading_db=faded,
+        blocked_fading_db=faded,
+        threshold_db=None if exact else world.radio.threshold_db,
+    )
     return snr.reshape(edges, len(share))
 
 

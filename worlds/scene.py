@@ -48,6 +48,9 @@ MAX_RAYS = 16_000
 MAX_BATCH = 4_000
 """Boxes in one call."""
 
+_KNOWN_STARTS = 4_000
+"""Starts of rays whose box is remembered."""
+
 _PAIRS = 200_000
 """(ray, box) pairs the exact test holds in memory at once."""
 
@@ -85,6 +88,7 @@ class Scene:
         self._half = np.array(boxes.half_m, dtype=np.float64).reshape(-1, 3) + grow_m
         self._yaw = np.array(boxes.yaw_rad, dtype=np.float64)
         self._visible = np.ones(len(boxes), dtype=np.bool_)
+        self._known_starts: dict[bytes, int] = {}  # box around points that rays start from
         self._bodies: list[int] = []  # PyBullet's id of each moving body, −1 when removed
         self._box_of = np.empty(0, dtype=np.int32)  # PyBullet's id -> box
         self._pb = _pybullet()
@@ -216,14 +220,29 @@ class Scene:
 
     def _around(self, point: Array) -> NDArray[np.int32]:
         """(n,) a box that contains each point, as large as it is in PyBullet, or −1."""
-        # Rays come in runs from one access point; each run is tested once.
+        # Rays come in runs from one access point; each run is tested once, and as long as nothing
+        # moves each point once and for all.
         new = np.ones(len(point), dtype=np.bool_)
         new[1:] = (point[1:] != point[:-1]).any(axis=1)
+        starts = np.ascontiguousarray(point[new])
+        keys = [start.tobytes() for start in starts]
+        if self._bodies or len(self._known_starts) > _KNOWN_STARTS:
+            self._known_starts.clear()
+        unknown = [k for k, key in enumerate(keys) if key not in self._known_starts]
+        if unknown:
+            seen = np.flatnonzero(self._visible).astype(np.int32)
+            boxes = Boxes(("",) * len(seen), self._center[seen], self._half[seen], self._yaw[seen])
+            found = contains(boxes, starts[unknown], grow_m=GUARD_M)
+            holders = np.append(seen, np.int32(-1))[found].tolist()
+            self._known_starts.update(zip((keys[k] for k in unknown), holders, strict=True))
+        box = np.array([self._known_starts[key] for key in keys], dtype=np.int32)
+        return np.asarray(box[np.cumsum(new) - 1])
+
+    def visible_boxes(self) -> tuple[NDArray[np.int32], Boxes]:
+        """What rays meet now, moving bodies too: as `cast` numbers it, as large as rays find it."""
         seen = np.flatnonzero(self._visible).astype(np.int32)
         boxes = Boxes(("",) * len(seen), self._center[seen], self._half[seen], self._yaw[seen])
-        found = contains(boxes, point[new], grow_m=GUARD_M)
-        box = np.append(seen, np.int32(-1))[found]
-        return np.asarray(box[np.cumsum(new) - 1])
+        return seen, boxes
 
     # Moving bodies
 

@@ -37,12 +37,14 @@ def json_schema() -> Json:
         part["description"] = _first_paragraph(model)
         for key, value in part.get("properties", {}).items():
             value.setdefault("description", _described(model, key))
-    if "Place" in definitions:  # the short form that `Place.accept` takes
-        station = {"type": "string", "minLength": 1, "description": "name of a station"}
-        definitions["Place"] = {
-            "description": definitions["Place"]["description"],
-            "anyOf": [station, definitions["Place"]],
-        }
+    # The short forms that `accept` takes.
+    for name, meaning in (("Place", "name of a station"), ("Measured", "file of a survey")):
+        if name in definitions:
+            short = {"type": "string", "minLength": 1, "description": meaning}
+            definitions[name] = {
+                "description": definitions[name]["description"],
+                "anyOf": [short, definitions[name]],
+            }
     return {
         "$schema": DRAFT,
         "title": "mapp-twin world",

@@ -30,18 +30,21 @@ _UNITS = {  # by the end of a key; the first that fits
 _BELOW = {"position_m", "base_m"}  # heights: less than 0 is below the floor
 
 
-def faults_of(error: ValidationError, data: Mapping[str, object]) -> list[Fault]:
+def faults_of(
+    error: ValidationError, data: Mapping[str, object], model: type[Part] = World
+) -> list[Fault]:
     """The errors pydantic reports of `World`, reworded; keys are those of the file.
 
     Args:
-        error: raised by `World.model_validate(data)`.
+        error: raised by `model.model_validate(data)`.
         data: what the file says.
+        model: what the file describes.
     """
     found = [(_key(e["loc"]), e) for e in error.errors(include_url=False)]
     meant = {
         (*key[:-1], near)
         for key, e in found
-        if e["type"] == "extra_forbidden" and (near := _near_key(key))
+        if e["type"] == "extra_forbidden" and (near := _near_key(key, model))
     }
     faults: dict[Fault, None] = {}  # a dict keeps the order and drops repetitions
     for key, e in found:
@@ -54,7 +57,7 @@ def faults_of(error: ValidationError, data: Mapping[str, object]) -> list[Fault]
             rule = f"{show(value)} has too few entries; give {wanted}"
             faults[Fault(list_key, rule)] = None
         else:
-            faults[Fault(key, _message(key, e))] = None
+            faults[Fault(key, _message(key, e, model))] = None
     return list(faults)
 
 
@@ -75,7 +78,11 @@ def show(value: object) -> str:
 
 def _key(loc: tuple[str | int, ...]) -> Key:
     """Without the tag that pydantic inserts after a field that may have two forms."""
-    tagged = loc[:2] in {("plan", "objective"), ("run", "interruption")}
+    tagged = loc[:2] in {
+        ("plan", "objective"),
+        ("run", "interruption"),
+        ("radio", "fading_correlation"),
+    }
     return (*loc[:2], *loc[3:]) if tagged else loc
 
 
@@ -85,7 +92,7 @@ def _value_at(data: object, key: Key) -> object:
     return data
 
 
-def _message(key: Key, e: ErrorDetails) -> str:
+def _message(key: Key, e: ErrorDetails, model: type[Part]) -> str:
     kind: str = e["type"]
     value: Any = e["input"]
     limits: dict[str, Any] = e.get("ctx", {})
@@ -96,10 +103,11 @@ def _message(key: Key, e: ErrorDetails) -> str:
         case "form":
             return f"{shown} {e['msg']}"
         case "missing":
-            return _MISSING.get(key, f"is missing; every {_table_name(key[:-1])} needs it")
+            table = _table_name(key[:-1]) if key[1:] else model.__name__.lower()
+            return _MISSING.get(key, f"is missing; every {table} needs it")
         case "extra_forbidden":
-            return _unknown_key(key)
-        case "model_type" if _part_at(key) is Place:
+            return _unknown_key(key, model)
+        case "model_type" if _part_at(key, model) is Place:
             return f"{shown} is no place; give a station's name, {{cell = …}} or {{at_m = …}}"
         case "model_type" if isinstance(value, tuple | list) and not isinstance(key[-1], int):
             return f"must be a single table; write [{key[-1]}] with single brackets"
@@ -164,12 +172,12 @@ def _out_of_range(key: Key, value: float, kind: str, limit: float) -> str:
     return f"{value} is too {side}; give {rule} {limit:.15g}{unit}"
 
 
-def _unknown_key(key: Key) -> str:
-    part = _part_at(key[:-1])
+def _unknown_key(key: Key, model: type[Part]) -> str:
+    part = _part_at(key[:-1], model)
     name = str(key[-1])
     known = list(part.model_fields) if part else []
-    homes = [home for home, fields in _tables() if name in fields]
-    near = _near_key(key)
+    homes = [home for home, fields in _tables(model) if name in fields]
+    near = _near_key(key, model)
     message = "is not a known key"
     if near:
         message += f"; did you mean '{near}'?"
@@ -180,8 +188,8 @@ def _unknown_key(key: Key) -> str:
     return message
 
 
-def _near_key(key: Key) -> str:
-    part = _part_at(key[:-1])
+def _near_key(key: Key, model: type[Part]) -> str:
+    part = _part_at(key[:-1], model)
     near = nearest(str(key[-1]), list(part.model_fields)) if part else ""
     return near.split("'")[1] if near else ""
 
@@ -196,9 +204,9 @@ def _parts_in(annotation: object) -> Iterator[type[Part]]:
         yield from _parts_in(inner)
 
 
-def _part_at(key: Key) -> type[Part] | None:
+def _part_at(key: Key, model: type[Part]) -> type[Part] | None:
     """The model that stands at a key; None where there is none."""
-    part: type[Part] | None = World
+    part: type[Part] | None = model
     for step in key:
         if isinstance(step, int):
             continue
@@ -207,7 +215,7 @@ def _part_at(key: Key) -> type[Part] | None:
     return part
 
 
-def _tables() -> Iterator[tuple[str, list[str]]]:
+def _tables(model: type[Part]) -> Iterator[tuple[str, list[str]]]:
     """Every table of the format as it is headed, with its keys."""
 
     def walk(part: type[Part], path: str) -> Iterator[tuple[str, list[str]]]:
@@ -220,7 +228,7 @@ def _tables() -> Iterator[tuple[str, list[str]]]:
             yield f"[[{at}]]" if many else f"[{at}]", list(inner.model_fields)
             yield from walk(inner, at)
 
-    return walk(World, "")
+    return walk(model, "")
 
 
 def _dotted(key: Key) -> str:

@@ -14,7 +14,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from pydantic import ValidationError
 
@@ -24,9 +24,12 @@ from worlds.part import Part
 from worlds.toml_faults import faults_of
 from worlds.toml_lines import key_lines, line_of
 from worlds.world import Costs, Place, World
+from worlds.world_files import take_in_files
 
 if TYPE_CHECKING:
     from worlds.floor import Floor
+
+P = TypeVar("P", bound=Part)
 
 MAX_BYTES = 10_000_000
 """A hall with 50 000 listed obstacles takes half of this."""
@@ -80,14 +83,14 @@ def read_world(path: Path, *, overrides: Mapping[str, object] | None = None) -> 
     Raises:
         WorldError: with all problems of the file, each with its line.
     """
-    return _parse(_text_of(path), str(path), overrides)[0]
+    return _parse(_text_of(path), str(path), overrides, path.parent)[0]
 
 
 def open_world(path: Path, *, overrides: Mapping[str, object] | None = None) -> tuple[World, Floor]:
     """`read_world` and `worlds.generate.resolve`; the latter's faults have their lines, too."""
     from worlds.generate import resolve  # numpy and more: not needed to read a world
 
-    world, source = _parse(_text_of(path), str(path), overrides)
+    world, source = _parse(_text_of(path), str(path), overrides, path.parent)
     try:
         return world, resolve(world)
     except WorldError as error:
@@ -100,14 +103,37 @@ def read_source(path: Path, *, overrides: Mapping[str, object] | None = None) ->
     Raises:
         WorldError: as `read_world`.
     """
-    return _parse(_text_of(path), str(path), overrides)[1]
+    return _parse(_text_of(path), str(path), overrides, path.parent)[1]
 
 
 def parse_world(
-    text: str, name: str = "world.toml", *, overrides: Mapping[str, object] | None = None
+    text: str,
+    name: str = "world.toml",
+    *,
+    overrides: Mapping[str, object] | None = None,
+    folder: Path | None = None,
 ) -> World:
-    """`read_world` for a text that is no file; `name` stands for it in messages."""
-    return _parse(text, name, overrides)[0]
+    """`read_world` for a text that is no file; `name` stands for it in messages.
+
+    Such a world can name further files (`hall.graph.lif`) only where a folder is given for them.
+    """
+    return _parse(text, name, overrides, folder)[0]
+
+
+def read_document(path: Path, model: type[P]) -> tuple[P, Source]:
+    """What a file of another kind, described by a `Part` of its own, says.
+
+    Returns:
+        The part, and what places the faults found in it later.
+
+    Raises:
+        WorldError: with all problems of the file, each with its line.
+    """
+    text, name = _text_of(path), str(path)
+    if not text.strip():
+        raise _refuse(name, "is empty")
+    source = Source(name, text)
+    return _validated(model, _data_of(text, name), source, []), source
 
 
 def _refuse(name: str, message: str, line: int | None = None) -> WorldError:
@@ -142,19 +168,12 @@ def _text_of(path: Path) -> str:
         raise _refuse(name, f"{rule}; save the file with encoding UTF-8", line) from error
 
 
-def _parse(text: str, name: str, overrides: Mapping[str, object] | None) -> tuple[World, Source]:
+def _parse(
+    text: str, name: str, overrides: Mapping[str, object] | None, folder: Path | None = None
+) -> tuple[World, Source]:
     if not text.strip():
         raise _refuse(name, "is empty; `worlds/tiny.toml` shows what a world looks like")
-    try:
-        data = tomllib.loads(text)
-    except RecursionError as error:
-        raise _refuse(name, "is nested too deeply to be a world; check its brackets") from error
-    except ValueError as error:  # TOMLDecodeError, or a number beyond what Python converts
-        found = re.search(r"^(.*?) \(at line (\d+), column (\d+)\)$", str(error), re.DOTALL)
-        last = len(text.splitlines())
-        why, line = (found[1], int(found[2])) if found else (str(error), last)
-        raise _refuse(name, f"is not valid TOML: {_plain(why)}", line) from error
-
+    data = _data_of(text, name)
     faults: list[Fault] = []
     keys: list[Key] = []
     for path, value in (overrides or {}).items():
@@ -164,14 +183,34 @@ def _parse(text: str, name: str, overrides: Mapping[str, object] | None) -> tupl
             faults.append(error.fault)
             keys.append(error.fault.key)
     source = Source(name, text, tuple(keys))
-    world: World | None = None
+    if file_faults := take_in_files(data, folder):
+        # Without the file's contents, names that stand in it would seem to be mistakes.
+        raise source.error(faults + file_faults)
+    return _validated(World, data, source, faults), source
+
+
+def _data_of(text: str, name: str) -> dict[str, Any]:
     try:
-        world = World.model_validate(data)
+        return tomllib.loads(text)
+    except RecursionError as error:
+        raise _refuse(name, "is nested too deeply to be a world; check its brackets") from error
+    except ValueError as error:  # TOMLDecodeError, or a number beyond what Python converts
+        found = re.search(r"^(.*?) \(at line (\d+), column (\d+)\)$", str(error), re.DOTALL)
+        last = len(text.splitlines())
+        why, line = (found[1], int(found[2])) if found else (str(error), last)
+        raise _refuse(name, f"is not valid TOML: {_plain(why)}", line) from error
+
+
+def _validated(model: type[P], data: dict[str, Any], source: Source, faults: list[Fault]) -> P:
+    """The data as a part; the faults found before are told together with those found now."""
+    part: P | None = None
+    try:
+        part = model.model_validate(data)
     except ValidationError as error:
-        faults += faults_of(error, data)
-    if faults or world is None:
+        faults += faults_of(error, data, model)
+    if faults or part is None:
         raise source.error(faults)
-    return world, source
+    return part
 
 
 def _plain(why: str) -> str:

@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 from tests.worlds.small_hall import AP, faults_of, make, picture
 from worlds.errands import components
 from worlds.errors import WorldError
-from worlds.generate import boxes_of, positions_m, resolve
+from worlds.generate import boxes_of, resolve
+from worlds.places import positions_m
 
 # The grid
 
@@ -165,7 +166,7 @@ def test_exactly_the_share_carries_a_box(share: float, seed: int) -> None:
     assert len(boxes) == round(share * 400)
     spots = set(map(tuple, boxes.center_m[:, :2].tolist()))
     assert len(spots) == len(boxes)
-    assert spots <= set(map(tuple, positions_m(world).tolist()))
+    assert spots <= set(map(tuple, positions_m(world.hall).tolist()))
     assert (boxes.half_m == (0.2, 0.2, 0.75)).all()
     assert (boxes.center_m[:, 2] == 0.75).all()
 

@@ -85,4 +85,5 @@ def test_a_bad_override_names_its_path_or_value(path: str, value: object, wanted
         assert len(told) == 1
         assert told[0].startswith(f"hall.toml (override): {wanted}")
     else:  # what is missing in a table is told at the table
-        assert told == ["hall.toml:4: hall: has none of pitch_m, positions; give one of them"]
+        rule = "has none of pitch_m, positions, graph; give one of them"
+        assert told == [f"hall.toml:4: hall: {rule}"]

@@ -49,7 +49,7 @@ def test_five_mistakes_are_told_at_once_with_their_lines() -> None:
         ('name = "good"', 'name = "a\\nb"', ":2: name: 'a\\nb' contains a line break"),
         ('name = "good"', "name = 2024-01-01", ":2: name: 2024-01-01 must be text in quotes"),
         ("mapp-world/1", "mapp-world/9", ':1: format: "mapp-world/9" must be one of mapp-world/1'),
-        ("pitch_m = 1.0", "", ":4: hall: has none of pitch_m, positions; give one"),
+        ("pitch_m = 1.0", "", ":4: hall: has none of pitch_m, positions, graph; give one"),
         ("pitch_m = 1.0", "pitch_m = 0", ":6: hall.pitch_m: 0 is too small; give at least 0.01 m"),
         ("pitch_m = 1.0", "pitch_m = nan", ":6: hall.pitch_m: nan is no finite number"),
         ("pitch_m = 1.0", "pitch_m = true", ":6: hall.pitch_m: true is not a number"),
@@ -107,7 +107,7 @@ def test_five_mistakes_are_told_at_once_with_their_lines() -> None:
         ('id = "east"\n', "", ":12: ap[1].id: is missing; every [[ap]] needs it"),
         ('id = "anna"', "id = 7", ':22: robot[0].id: 7 must be text in quotes; write "7"'),
         ('id = "bert"', 'id = "anna"', ":27: robot[1].id: 'anna' is the id of robot[0] already"),
-        ("at_m = [7.2, 5.4]", "", ":24: robot[0].goal: has none of station, cell, at_m"),
+        ("at_m = [7.2, 5.4]", "", ":24: robot[0].goal: has none of station, cell, node, at_m"),
         (
             "at_m = [7.2, 5.4]",
             'at_m = [7, 5], station = "dock 1"',
@@ -118,7 +118,7 @@ def test_five_mistakes_are_told_at_once_with_their_lines() -> None:
         (
             "cell = [0, 0]",
             "",
-            ":17: station[0]: has none of cell, at_m; give one of them",
+            ":17: station[0]: has none of cell, nodes, at_m; give one of them",
         ),
         ("[plan]", "[robots]\nrandom = { count = 2 }\n[plan]", ":31: robots: is given beside the"),
         ("horizon = 30", "horizon = 0", ":32: plan.horizon: 0 is too small; give at least 1"),

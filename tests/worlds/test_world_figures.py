@@ -15,13 +15,14 @@ from matplotlib.patches import PathPatch
 from tests.worlds.floors import ap, boxes, grid_floor, world
 from tests.worlds.radio_maps import FOUR, paper_floor, tiny
 from worlds.errors import WorldError
-from worlds.figures import draw_coverage, draw_hall, footprints_m, radio_figure, save, snr_norm
+from worlds.figures import draw_coverage, draw_hall, footprints_m, save, snr_norm
+from worlds.radio_figure import radio_figure
 from worlds.radio_map import build_radio_map
 
 
 def panels(figure: Figure) -> list[Axes]:
-    """The hall panels of a figure: neither colour bars nor empty places."""
-    return [ax for ax in figure.axes if ax.get_title()]
+    """The hall panels of a figure: no colour bars, no empty places, not the distribution."""
+    return [ax for ax in figure.axes if ax.get_title() and "distribution" not in ax.get_title()]
 
 
 @pytest.fixture(scope="module")
@@ -32,17 +33,20 @@ def paper() -> Figure:
 
 
 def test_each_ap_the_best_and_the_count_have_a_panel(paper: Figure) -> None:
-    """Four APs make six panels, in metres, to scale, over the whole hall."""
+    """Four APs make eight panels, in metres, to scale, over the whole hall, and a distribution."""
     titles = [ax.get_title() for ax in panels(paper)]
     assert [title.split(" covers")[0] for title in titles[:4]] == ["ap0", "ap1", "ap2", "ap3"]
     assert titles[4].startswith("best AP: ")
-    assert titles[5].endswith("covered by two APs or more")
+    assert titles[5:7] == ["second-best AP", "the AP of highest SNR"]
+    assert titles[7].endswith("covered by two APs or more")
+    assert len(titles) == 8
+    assert [ax.get_title() for ax in paper.axes if "distribution" in ax.get_title()]
     for ax in panels(paper):
         assert ax.get_aspect() == 1.0
         for low, high in (ax.get_xlim(), ax.get_ylim()):
             assert low <= 0
             assert high >= 60
-    assert {ax.get_xlabel() for ax in panels(paper)[3:]} == {"x [m]"}
+    assert {ax.get_xlabel() for ax in panels(paper)[-3:]} == {"x [m]"}
     assert panels(paper)[0].get_ylabel() == "y [m]"
 
 
@@ -100,7 +104,7 @@ def test_of_many_aps_those_that_cover_least_are_shown_and_said_so() -> None:
     aps = [ap(f"ap{i}", 5.0 + 6 * i, 30, tx_power_dbm=-40.0 if i == 8 else 24.0) for i in range(9)]
     floor, hall = paper_floor(2), world(aps)
     figure = radio_figure(hall, floor, build_radio_map(hall, floor))
-    assert len(panels(figure)) == 8
+    assert len(panels(figure)) == 10
     assert any(ax.get_title().startswith("ap8 covers") for ax in panels(figure))
     assert "the 6 of 9 APs that cover least" in figure.get_suptitle()
 
