@@ -24,7 +24,7 @@ from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from logs.foxglove import ap_color
+from logs.colors import ap_color
 from planner.plan import Plan
 from planner.prices import Prices
 from planner.problem import Problem

@@ -27,6 +27,7 @@ MAX_CHUNK_BYTES = 1 << 28
 """Chunks that claim to unpack to more are refused (ours are 1 MiB)."""
 
 _HEAD = struct.Struct("<BQ")  # opcode, length of the content
+HEAD_BYTES = _HEAD.size
 _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
 _STEP_BYTES = 1 << 20
 

@@ -20,17 +20,17 @@ from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.legend_handler import HandlerTuple
 from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
+from matplotlib.patches import Patch, Polygon
 from matplotlib.patheffects import Normal, Stroke
 from numpy.typing import NDArray
 
+from logs.colors import OUTAGE_COLOR, ap_color, rgb
 from logs.errors import LogError
-from logs.foxglove import OUTAGE_COLOR, ap_color, rgb
 from logs.mcap_reader import RunFile
 from logs.records import LINKS, NO_AP, OUTAGE, ApKpi, Handover, Kpi, Record, RunStart, Sample
+from worlds.events import Event
 from worlds.figures import draw_coverage_count, draw_hall, save
 from worlds.floor import Floor
-from worlds.generate import resolve
 from worlds.world import World
 
 LANES_SHARE = 0.17
@@ -61,6 +61,19 @@ class Trace:
     ap: list[int] = field(default_factory=list)
     lost: list[bool] = field(default_factory=list)
 
+    def add(self, place: tuple[float, float], ap: int, lost: bool) -> None:
+        """The next place; one that only lengthens a straight line takes the last one's place."""
+        if len(self.xy_m) > 1 and (self.ap[-2:], self.lost[-2:]) == ([ap] * 2, [lost] * 2):
+            (ax, ay), (bx, by) = self.xy_m[-2:]
+            turn = (bx - ax) * (place[1] - by) - (by - ay) * (place[0] - bx)
+            ahead = (bx - ax) * (place[0] - bx) + (by - ay) * (place[1] - by)
+            if abs(turn) < 1e-9 and (ahead > 0 or place == self.xy_m[-1]):
+                self.xy_m[-1] = place
+                return
+        self.xy_m.append(place)
+        self.ap.append(ap)
+        self.lost.append(lost)
+
 
 def draw_run(run: RunFile, path: Path) -> None:
     """Draw the hall, its coverage, the paths driven and the handovers to a .png or .svg file.
@@ -74,29 +87,38 @@ def draw_run(run: RunFile, path: Path) -> None:
 
 def run_figure(run: RunFile) -> Figure:
     """The picture of a run as a matplotlib figure."""
-    world = run.world
-    floor = resolve(world)
+    world, floor = run.world, run.floor
     start, traces, handovers, kpi, ap_kpis = _read(run)
     width, depth = world.hall.size_m
     figure = Figure(figsize=_size(width, depth), layout="constrained")
     FigureCanvasAgg(figure)
     ax = figure.subplots()
 
-    mesh = draw_coverage_count(ax, floor, run.radio_map)
-    shades = _shades(len(run.radio_map.ap_ids))
-    mesh.set_cmap(ListedColormap(shades))
-    draw_hall(ax, world, floor)
+    shades = draw_ground(ax, run)
+    _draw_blockages(ax, world)
     _draw_paths(ax, floor, traces, start)
     if len(traces) <= MAX_ENDS:
         _draw_ends(ax, floor, traces, start.robots)
     _draw_handovers(ax, floor, handovers)
-    _draw_aps(ax, world, start)
+    draw_aps(ax, world, start.aps)
 
     ax.set_title(_title(world, run, kpi), loc="left", size=12)
     ax.grid(False)
     counts = run.radio_map.coverage_count
-    _legend(figure, floor, start, ap_kpis, _coverage_keys(counts, shades), traces, handovers)
+    coverage = _coverage_keys(counts, shades)
+    blocked = bool(blockages_of(world))
+    _legend(figure, floor, start, ap_kpis, coverage, traces, handovers, blocked)
     return figure
+
+
+def draw_ground(ax: Axes, run: RunFile) -> list[tuple[float, float, float]]:
+    """The hall on pale blues: how many APs cover each place; the colours of 0, 1, … APs."""
+    floor = run.floor
+    mesh = draw_coverage_count(ax, floor, run.radio_map)
+    shades = _shades(len(run.radio_map.ap_ids))
+    mesh.set_cmap(ListedColormap(shades))
+    draw_hall(ax, run.world, floor)
+    return shades
 
 
 def _size(width_m: float, depth_m: float) -> tuple[float, float]:
@@ -137,10 +159,7 @@ def _read(
 def _add_sample(traces: dict[int, Trace], sample: Sample) -> None:
     columns = (sample.robot, sample.x_m, sample.y_m, sample.ap, sample.link)
     for robot, x, y, ap, link in zip(*columns, strict=True):
-        trace = traces.setdefault(robot, Trace())
-        trace.xy_m.append((x, y))
-        trace.ap.append(ap)
-        trace.lost.append(link in _NO_LINK)
+        traces.setdefault(robot, Trace()).add((x, y), ap, link in _NO_LINK)
 
 
 # --- layers -------------------------------------------------------------------------------------
@@ -256,6 +275,7 @@ _HANDOVER: dict[str, Any] = {
     "mec": _INK,
     "mew": 1.3,
 }
+_BLOCKAGE: dict[str, Any] = {"fc": "#fde0c5", "ec": "#d95f02", "lw": 1.5, "ls": "--", "hatch": "xx"}
 _AP: dict[str, Any] = {"marker": "^", "ls": "none", "ms": 15, "mec": _INK, "mew": 1.4}
 
 
@@ -283,11 +303,34 @@ def _draw_handovers(ax: Axes, floor: Floor, handovers: Sequence[Handover]) -> No
             ax.text(x, y, str(count), size=7, ha="center", va="center_baseline", zorder=8)
 
 
-def _draw_aps(ax: Axes, world: World, start: RunStart) -> None:
+def draw_aps(ax: Axes, world: World, aps: Sequence[str], size: float = 15.0) -> None:
+    """Those APs of a world that take part, in their colours."""
     for ap in world.ap:
-        if ap.id in start.aps:
-            color = ap_color(start.aps.index(ap.id))
-            ax.plot(*ap.position_m[:2], **_AP, mfc=color, zorder=7)
+        if ap.id in aps:
+            color = ap_color(aps.index(ap.id))
+            ax.plot(*ap.position_m[:2], **_AP | {"ms": size}, mfc=color, zorder=7)
+
+
+def _draw_blockages(ax: Axes, world: World) -> None:
+    """Where the world has blockages for a time: their outlines, or the ways they drive."""
+    for event in blockages_of(world):
+        if event.center_m is not None and event.size_m is not None:
+            corners = rectangle_m(*event.center_m, *event.size_m, math.radians(event.yaw_deg))
+            ax.add_patch(Polygon(corners, closed=True, **_BLOCKAGE, zorder=3.5))
+        else:
+            ax.plot(*np.array(event.way_m).T, color=_BLOCKAGE["ec"], ls="--", lw=2, zorder=3.5)
+
+
+def blockages_of(world: World) -> list[Event]:
+    """The events of a world that block ways."""
+    return [event for event in world.event if event.kind == "blockage"]
+
+
+def rectangle_m(x: float, y: float, length: float, width: float, yaw_rad: float) -> Line:
+    """(4, 2) corners of a rectangle about (x, y), `length` along its turn [m]."""
+    local = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * (length / 2, width / 2)
+    cos, sin = math.cos(yaw_rad), math.sin(yaw_rad)
+    return np.asarray(local @ np.array([[cos, sin], [-sin, cos]]) + (x, y))
 
 
 # --- words --------------------------------------------------------------------------------------
@@ -332,6 +375,7 @@ def _legend(
     coverage: list[tuple[Patch, str]],
     traces: dict[int, Trace],
     handovers: Sequence[Handover],
+    blocked: bool,
 ) -> None:
     """Everything in the picture, in words, to the right of it."""
     peaks = {kpi.ap: kpi.peak_load for kpi in ap_kpis}
@@ -354,6 +398,8 @@ def _legend(
         keys.append((Line2D([], [], **_START), "start of a robot"))
         keys.append((Line2D([], [], **_GOAL), "goal of a robot"))
     keys.append((Patch(fc="#5a5a5a"), "obstacle"))
+    if blocked:
+        keys.append((Patch(**_BLOCKAGE), "blockage, for a time"))
     keys += coverage
     handles, labels = zip(*keys, strict=True)
     figure.legend(

@@ -13,7 +13,9 @@ STEPS: Mapping[int, str] = {
     2: "plan against problem",
     3: "run against plan and world",
     4: "key figures",
+    5: "the run made again",
 }
+"""Step 5 (`twin.rerun`) is done when it is asked for, the others always."""
 
 KEPT = 20
 """Findings listed of one rule; of the rest only the number, so that a broken file stays legible."""
@@ -26,7 +28,7 @@ class Finding:
     """One thing that is not as it should be.
 
     Attributes:
-        step: 1 to 4, see `STEPS`.
+        step: 1 to 5, see `STEPS`.
         rule: the rule that is broken: a paragraph of the semantics ("§1.6"), an invariant
             ("page5:load"), a part of the container ("container:crc"), or "reader" when the
             check itself could not go on.
@@ -74,9 +76,15 @@ class Report:
         return not self.findings and not self.skipped
 
     @property
+    def steps(self) -> dict[int, str]:
+        """Number and name of the steps that were asked for."""
+        again = any(step == 5 for step, _ in self.rules)
+        return {step: name for step, name in STEPS.items() if step < 5 or again}
+
+    @property
     def checked(self) -> dict[int, int]:
         """Facts checked per step."""
-        counts = dict.fromkeys(STEPS, 0)
+        counts = dict.fromkeys(self.steps, 0)
         for (step, _), number in self.rules.items():
             counts[step] += number
         return counts
@@ -88,7 +96,7 @@ class Report:
             "valid": self.valid,
             "steps": [
                 {"step": step, "name": name, "checked": self.checked[step]}
-                for step, name in STEPS.items()
+                for step, name in self.steps.items()
             ],
             "rules": [
                 {"step": step, "rule": rule, "checked": number}
@@ -102,7 +110,7 @@ class Report:
     def to_junit_xml(self) -> str:
         """The report as JUnit XML: one test suite per step, one test case per rule."""
         root = ElementTree.Element("testsuites", name="validate", time=f"{self.seconds:.3f}")
-        for step, name in STEPS.items():
+        for step, name in self.steps.items():
             cases = {rule: 0 for s, rule in sorted(self.rules) if s == step}
             mine = [finding for finding in self.findings if finding.step == step]
             cases.update({f.rule: 0 for f in mine})

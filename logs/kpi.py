@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 
 from logs.distribution import Distribution
 from logs.records import (
+    CAUSES,
     CONNECTED,
     HANDOVER,
     HELD,
@@ -38,15 +39,18 @@ from logs.records import (
     ApKpi,
     ApLoad,
     Arrival,
+    Disturbance,
     Handover,
     Incident,
     Kpi,
     Record,
+    Replan,
     RobotKpi,
     RobotState,
     RunStart,
     Sample,
     Separation,
+    Waits,
 )
 from planner.plan import Plan
 
@@ -55,6 +59,10 @@ Ints = NDArray[np.int64]
 
 NO_CLEARANCE_M = -1000.0
 """`Kpi.min_clearance_m` while fewer than two bodies were on the floor."""
+
+PING_PONG_SLOTS = 2
+"""A handover back to the AP left less than so many slots before is a ping-pong (3GPP TR 36.839,
+5.2.1, counts by a minimum time of stay, too: 1 s, which is less than a slot here)."""
 
 _CONNECTED, _HANDOVER = LINKS.index(CONNECTED), LINKS.index(HANDOVER)
 
@@ -96,7 +104,13 @@ class KpiFold:
         self._handovers = np.zeros(n, np.int64)
         self._waiting = np.zeros(n, np.int64)
         self._held = np.zeros(n, np.int64)
+        self._held_by = np.zeros((len(CAUSES), n), np.int64)
+        self._waits: dict[tuple[int, int], int] = {}  # robot, whom it waits for -> slots
         self._state_slot = np.full(n, -1, np.int64)  # last slot whose activity is counted
+        self._unplanned = np.zeros(n, np.int64)
+        self._ping_pongs = np.zeros(n, np.int64)
+        self._last_handover: dict[int, Handover] = {}
+        self._delays = self._replans = 0
         self._incidents = 0
         self._loads = np.zeros((3, m), np.int64)  # rows: slots, robot-slots, those over capacity
         self._peak = np.zeros(m, np.int64)
@@ -139,6 +153,10 @@ class KpiFold:
                 self._arrival[self._robot[record.robot]] = record.slot
             case Incident():
                 self._incidents += 1
+            case Disturbance():
+                self._delays += record.kind == "delay"
+            case Replan():
+                self._replans += 1
             case _:
                 pass
 
@@ -147,12 +165,22 @@ class KpiFold:
         if state.slot > self._state_slot[i]:  # later ones of a slot tell a link, not an activity
             self._state_slot[i] = state.slot
             self._waiting[i] += state.activity == WAITING
-            self._held[i] += state.activity == HELD
+            if state.activity == HELD:
+                self._hold(i, state)
         if state.t_s > self._since and state.link != HANDOVER and self._open_hidden.any():
             shown = self._open_hidden & (self._open == i)
             self._open_link[shown] = LINKS.index(state.link)
             self._open_rate[shown] = state.rate_mbps
             self._open_hidden[shown] = False
+
+    def _hold(self, i: int, state: RobotState) -> None:
+        """Robot i is held in a slot."""
+        self._held[i] += 1
+        if state.cause in CAUSES:
+            self._held_by[CAUSES.index(state.cause), i] += 1
+        other = self._robot.get(state.waits_for)
+        if other is not None:
+            self._waits[i, other] = self._waits.get((i, other), 0) + 1
 
     def _add_sample(self, sample: Sample) -> None:
         self._close(sample.t_s)
@@ -222,6 +250,12 @@ class KpiFold:
     def _add_handover(self, handover: Handover) -> None:
         i = self._robot[handover.robot]
         self._handovers[i] += 1
+        self._unplanned[i] += not handover.planned
+        last = self._last_handover.get(i)
+        self._last_handover[i] = handover
+        if last is not None and (last.from_ap, last.to_ap) == (handover.to_ap, handover.from_ap):
+            soon = handover.t_s - last.t_s < PING_PONG_SLOTS * self._start.slot_s
+            self._ping_pongs[i] += soon
         spans = self._interrupted.setdefault(i, [])
         begin = max([handover.t_s, *(end for _, end in spans)])  # never count a time twice
         if handover.end_s > begin:
@@ -243,6 +277,8 @@ class KpiFold:
         - held_slots: number of (robot, slot) whose first state in the slot is HELD.
         - peak_load: greatest load of any AP in any slot [robots]; peak_load_share: that load
           over that AP's capacity (at least 1); of several such APs the one with the largest.
+        - held_by_…: the same by the cause told; unplanned_handovers: those the plan does not have,
+          ping_pongs: see `PING_PONG_SLOTS`; delays, replans: number of their records.
         - overload_robot_slots: Σ over APs and slots of max(0, load − capacity).
         - delivered_mbit: Σ rate · (d − h), see the head of this file [Mbit].
         - map_error_mean_db: mean of predicted − experienced SNR over all entries with an AP of
@@ -275,6 +311,12 @@ class KpiFold:
             map_error_mean_db=total / entries if entries else 0.0,
             map_error_max_db=largest,
             incidents=self._incidents,
+            planned_makespan_slots=int(self._planned_travel.max(initial=0)),
+            unplanned_handovers=int(self._unplanned.sum()),
+            ping_pongs=int(self._ping_pongs.sum()),
+            **_by_cause(self._held_by.sum(axis=1)),
+            delays=self._delays,
+            replans=self._replans,
         )
 
     def final(self, t_s: float, slot: int) -> list[RobotKpi | ApKpi]:
@@ -286,6 +328,7 @@ class KpiFold:
         self._close(t_s)
         travel = self._travel(slot)
         p10 = self._percentiles()
+        floor_s = self._connected + self._handover_time + self._outage
         robots = [
             RobotKpi(
                 t_s=t_s,
@@ -303,6 +346,10 @@ class KpiFold:
                 worst_outage_s=float(self._outage_worst[i]),
                 delivered_mbit=float(self._delivered[i]),
                 p10_rate_mbps=p10[i],
+                mean_rate_mbps=float(self._delivered[i] / floor_s[i]) if floor_s[i] > 0 else 0.0,
+                unplanned_handovers=int(self._unplanned[i]),
+                ping_pongs=int(self._ping_pongs[i]),
+                **_by_cause(self._held_by[:, i]),
             )
             for name, i in self._robot.items()
         ]
@@ -322,6 +369,16 @@ class KpiFold:
         ]
         return [*robots, *aps]
 
+    def waits(self, t_s: float) -> Waits:
+        """Who was held by whom: number of slots whose first state says so, by robot and other."""
+        pairs = sorted(self._waits)
+        return Waits(
+            t_s=t_s,
+            robot=tuple(i for i, _ in pairs),
+            other=tuple(j for _, j in pairs),
+            slots=tuple(self._waits[pair] for pair in pairs),
+        )
+
     def _percentiles(self) -> list[float]:
         """P10 of each robot's rate [Mbit/s]."""
         n = len(self._robot)
@@ -337,3 +394,11 @@ class KpiFold:
             rates.add(rate[own], seconds[own])
             found.append(rates.percentile_10())
         return found
+
+
+def _by_cause(counts: Ints) -> dict[str, int]:
+    """The fields `held_by_…` of the figures from counts in the order of `CAUSES`."""
+    return {
+        f"held_by_{cause.replace('-', '_')}": int(n)
+        for cause, n in zip(CAUSES, counts, strict=True)
+    }

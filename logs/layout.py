@@ -13,8 +13,11 @@ import re
 from collections.abc import Sequence
 from typing import Any
 
-from logs.foxglove import AP_COLORS, OUTAGE_COLOR, WORLD_FRAME, ap_color
-from logs.records import ApLoad, Incident, Kpi, RobotState
+from logs.colors import AP_COLORS, OUTAGE_COLOR, ap_color
+from logs.foxglove_parts import WORLD_FRAME
+from logs.foxglove_view import AP_COVERAGE
+from logs.records import ApLoad, Disturbance, Incident, Kpi, RobotState
+from planner.plan import Plan
 from planner.prices import Prices
 from planner.problem import Problem
 from worlds.radio_map import RadioMap
@@ -22,12 +25,14 @@ from worlds.world import World
 
 ROWS_PER_PANEL = 25
 """Robots per panel of associations: as many as one screen shows; more come in tabs."""
+APS_PER_PLOT = 8
+"""APs per plot of loads: as many lines as one can tell apart; more come in tabs."""
 MAX_TABS = 12
 """Tabs of associations at most; robots beyond them are added by hand in Foxglove."""
 
 COVERAGE_COLORS = ("#0b1d33d9", "#bfe3f0d9")
 """At and below the threshold, and at the highest SNR: only the lightness varies, the hues are the
-APs' (`logs.foxglove.AP_COLORS`)."""
+APs' (`logs.colors.AP_COLORS`)."""
 
 CONGESTION_COLORS = ("#fff3c400", "#b34700f2")
 """At price 0, invisible, and at the highest price."""
@@ -40,13 +45,25 @@ _FILL = 0.9  # share of the view that the hall takes up
 
 
 def build_layout(
-    world: World, problem: Problem, radio_map: RadioMap, prices: Prices | None = None
+    world: World,
+    problem: Problem,
+    radio_map: RadioMap,
+    prices: Prices | None = None,
+    busiest: Sequence[str] = (),
 ) -> Json:
-    """The layout of a run of this world; `prices` are those of its plan, if it has any."""
-    associations = _associations(problem.robot_ids)
+    """The layout of a run of this world.
+
+    Args:
+        world, problem, radio_map: of the run.
+        prices: of its plan, if it has any.
+        busiest: robots to look at first, where there are more than one panel shows
+            (`busiest_robots`).
+    """
+    associations = _associations(problem.robot_ids, busiest)
+    loads = _load_plots(problem)
     panels: Json = {
-        "3D!hall": _hall(world, radio_map, _congestion(problem, prices)),
-        "Plot!load": _load_plot(problem),
+        "3D!hall": _hall(world, radio_map, problem, _congestion(problem, prices)),
+        **loads,
         **associations,
         "Plot!service": _plot(
             [
@@ -57,6 +74,10 @@ def build_layout(
         ),
         "Table!kpi": {"topicPath": Kpi.topic, "foxglovePanelTitle": "Key figures"},
         "Table!events": {"topicPath": Incident.topic, "foxglovePanelTitle": "Last event"},
+        "Table!disturbances": {
+            "topicPath": Disturbance.topic,
+            "foxglovePanelTitle": "Last disturbance",
+        },
         "Gauge!load": {
             "foxglovePanelTitle": "Peak load / capacity",
             "path": f"{Kpi.topic}.peak_load_share",
@@ -69,7 +90,8 @@ def build_layout(
         },
         "RosOut!log": {"topicToRender": "/log", "minLogLevel": 1, "searchTerms": []},
     }
-    figures = _column("Gauge!load", 40, _column("Table!kpi", 70, "Table!events"))
+    last = _column("Table!events", 50, "Table!disturbances")
+    figures = _column("Gauge!load", 35, _column("Table!kpi", 60, last))
     return {
         "configById": panels,
         "globalVariables": {},
@@ -78,7 +100,7 @@ def build_layout(
         "layout": _row(
             _column("3D!hall", 72, _row("RosOut!log", 65, figures)),
             60,
-            _column("Plot!load", 28, _column(next(iter(associations)), 68, "Plot!service")),
+            _column(next(iter(loads)), 28, _column(next(iter(associations)), 68, "Plot!service")),
         ),
     }
 
@@ -95,7 +117,17 @@ def message_path(topic: str, field: str) -> str:
     return f"{topic}.{field}"
 
 
-def _hall(world: World, radio_map: RadioMap, congestion: Json) -> Json:
+def busiest_robots(plan: Plan) -> tuple[str, ...]:
+    """The robots with the most planned handovers, then the longest ways: as many as a panel shows.
+
+    A layout is made before the run, so it goes by the plan.
+    """
+    paths = [path for path in plan.paths if path is not None]
+    paths.sort(key=lambda path: (-path.handovers, -path.arrival, path.robot))
+    return tuple(path.robot for path in paths[:ROWS_PER_PANEL])
+
+
+def _hall(world: World, radio_map: RadioMap, problem: Problem, congestion: Json) -> Json:
     width, depth = world.hall.size_m
     # The near edge decides: it fills `_FILL` of the view, which is about as wide as it is high.
     tilt = math.radians(_TILT_DEG)
@@ -125,17 +157,31 @@ def _hall(world: World, radio_map: RadioMap, congestion: Json) -> Json:
             "/scene/static": visible,
             "/scene/robots": visible,
             "/scene/links": visible,
-            "/scene/plan": visible,
-            "/radio/coverage": {
-                "visible": True,
-                "colorField": "snr_db",
-                "colorMode": "gradient",
-                "gradient": list(COVERAGE_COLORS),
-                "minValue": radio_map.threshold_db,
-                "maxValue": _highest_snr(radio_map),
+            "/scene/paths": visible,
+            "/scene/disturbances": visible,
+            "/scene/events": visible,
+            # All of every path at once hides the hall; it is there to be switched on.
+            "/scene/plan": {"visible": False},
+            "/radio/coverage": _snr_colors(radio_map, visible=True),
+            "/radio/best_server": {"visible": False, "colorMode": "rgba-fields"},
+            **{
+                AP_COVERAGE.format(ap=ap): _snr_colors(radio_map, visible=False)
+                for ap in problem.ap_ids
             },
             **congestion,
         },
+    }
+
+
+def _snr_colors(radio_map: RadioMap, *, visible: bool) -> Json:
+    """Settings of a coverage grid: the colours begin at the threshold."""
+    return {
+        "visible": visible,
+        "colorField": "snr_db",
+        "colorMode": "gradient",
+        "gradient": list(COVERAGE_COLORS),
+        "minValue": radio_map.threshold_db,
+        "maxValue": _highest_snr(radio_map),
     }
 
 
@@ -161,16 +207,31 @@ def _highest_snr(radio_map: RadioMap) -> float:
     return float(math.ceil(radio_map.snr_db.max(initial=radio_map.threshold_db + 1)))
 
 
-def _load_plot(problem: Problem) -> Json:
+def _load_plots(problem: Problem) -> Json:
+    """Load of each AP over time: one plot, or tabs of `APS_PER_PLOT` APs each."""
     lines = [
         (message_path(ApLoad.topic.format(ap=name), "load"), name, _hex(ap_color(k)))
         for k, name in enumerate(problem.ap_ids)
     ]
-    capacities = sorted({int(m) for m in problem.ap_capacity})
-    # A path that is a number is drawn as a level line.
-    lines += [(str(m), f"capacity {m}", OUTAGE_COLOR) for m in capacities]
-    plot = _plot(lines)
-    return plot | {"minYValue": 0, "maxYValue": max(capacities, default=1) + 1}
+    pages = [
+        range(i, min(i + APS_PER_PLOT, len(lines))) for i in range(0, len(lines), APS_PER_PLOT)
+    ]
+    pages = pages or [range(0)]
+    names = ["Plot!load", *(f"Plot!load{k}" for k in range(1, len(pages)))]
+    plots: Json = {}
+    for name, page in zip(names, pages, strict=True):
+        capacities = sorted({int(problem.ap_capacity[k]) for k in page})
+        # A path that is a number is drawn as a level line.
+        levels = [(str(m), f"capacity {m}", OUTAGE_COLOR) for m in capacities]
+        plot = _plot([*(lines[k] for k in page), *levels])
+        plots[name] = plot | {"minYValue": 0, "maxYValue": max(capacities, default=1) + 1}
+    if len(pages) == 1:
+        return plots
+    tabs = [
+        {"title": f"{problem.ap_ids[page[0]]} – {problem.ap_ids[page[-1]]}", "layout": name}
+        for name, page in zip(names, pages, strict=True)
+    ]
+    return {"Tab!loads": {"activeTabIdx": 0, "tabs": tabs}, **plots}
 
 
 def _plot(lines: Sequence[tuple[str, str, str]]) -> Json:
@@ -192,10 +253,16 @@ def _plot(lines: Sequence[tuple[str, str, str]]) -> Json:
     }
 
 
-def _associations(robots: Sequence[str]) -> Json:
-    """Which AP serves each robot over time: one panel, or tabs of `ROWS_PER_PANEL` robots each."""
+def _associations(robots: Sequence[str], busiest: Sequence[str]) -> Json:
+    """Which AP serves each robot over time: one panel, or tabs of `ROWS_PER_PANEL` robots each.
+
+    Before the tabs of all robots comes one of those that change their AP most.
+    """
     groups = [robots[i : i + ROWS_PER_PANEL] for i in range(0, len(robots), ROWS_PER_PANEL)]
     groups = groups[:MAX_TABS] or [()]
+    titles = [f"{group[0]} – {group[-1]}" if group else "" for group in groups]
+    if len(groups) > 1 and busiest:
+        groups, titles = [busiest, *groups], ["most handovers", *titles]
     panels = {
         f"StateTransitions!ap{k}": {
             "isSynced": True,
@@ -213,10 +280,7 @@ def _associations(robots: Sequence[str]) -> Json:
     }
     if len(groups) == 1:
         return panels
-    tabs = [
-        {"title": f"{group[0]} – {group[-1]}", "layout": name}
-        for group, name in zip(groups, panels, strict=True)
-    ]
+    tabs = [{"title": title, "layout": name} for title, name in zip(titles, panels, strict=True)]
     return {"Tab!associations": {"activeTabIdx": 0, "tabs": tabs}, **panels}
 
 

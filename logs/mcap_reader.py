@@ -47,8 +47,10 @@ from logs.protobuf import CODECS, PACKAGE, decode, field_layout, message_name, s
 from logs.records import Record
 
 if TYPE_CHECKING:
+    from logs.tables import Table
     from planner.plan import Plan
     from planner.problem import Problem
+    from worlds.floor import Floor
     from worlds.radio_map import RadioMap
     from worlds.world import World
 
@@ -151,6 +153,12 @@ class RunFile:
             except LogError as error:
                 raise LogError(f"{self.path}: is damaged: {error}") from error
 
+    def table(self, record_type: type[Record]) -> Table:
+        """All records of one type as columns; see `logs.tables`."""
+        from logs.tables import table
+
+        return table(self, record_type)
+
     def iter_messages(self, schemas: Collection[str] | None = None) -> Iterator[Message]:
         """All messages, those for Foxglove included; only those of types `schemas` if given."""
         for part in _Walk(self.path).parts(messages=True, schemas=schemas):
@@ -163,6 +171,17 @@ class RunFile:
         from worlds.toml_file import parse_world
 
         return self._input(WORLD_NAME, lambda data, name: parse_world(data.decode(), name))
+
+    @cached_property
+    def floor(self) -> Floor:
+        """What the world resolves to, its drawn robots among the covered positions (§1.8)."""
+        from worlds.errands import with_covered_robots
+        from worlds.generate import resolve
+
+        world, radio_map = self.world, self.radio_map
+        return self._input(
+            WORLD_NAME, lambda _, __: with_covered_robots(world, resolve(world), radio_map)
+        )
 
     @cached_property
     def radio_map(self) -> RadioMap:
@@ -238,6 +257,16 @@ def canonical_hash(path: Path) -> str:
     return content.hexdigest()
 
 
+def data_pieces(path: Path) -> Iterator[Piece]:
+    """The pieces of a file's data section, header and summary checked; what is in them is not.
+
+    Raises:
+        LogError: the file is damaged.
+    """
+    with _told(path):
+        yield from _Walk(path).data_pieces(_map(path))
+
+
 Part = Message | Attachment | tuple[str, dict[str, str]]
 
 
@@ -261,7 +290,7 @@ class _Walk:
         """Attachments, metadata and, if wanted, messages (of these types), in file order."""
         data = _map(self.path)
         with _told(self.path):
-            for piece in self._data_pieces(data):
+            for piece in self.data_pieces(data):
                 yield from self._part(piece, messages, schemas)
 
     def check_schemas(self) -> None:
@@ -283,7 +312,7 @@ class _Walk:
                         f"the version that wrote it ({self.library})"
                     )
 
-    def _data_pieces(self, data: memoryview) -> Iterator[Piece]:
+    def data_pieces(self, data: memoryview) -> Iterator[Piece]:
         """Pieces of the data section; header, summary and footer are checked on the way."""
         if bytes(data[: len(MAGIC)]) != MAGIC:
             raise LogError(

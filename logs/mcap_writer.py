@@ -8,7 +8,6 @@ are `EPOCH` + its simulated time; no wall clock enters.
 
 from __future__ import annotations
 
-import math
 import os
 import platform
 from collections.abc import Iterator
@@ -20,11 +19,9 @@ from types import TracebackType
 from typing import BinaryIO
 
 from mcap.writer import CompressionType, Writer
-from mcap_protobuf.schema import build_file_descriptor_set
 
 from logs.errors import LogError
-from logs.foxglove_view import View
-from logs.layout import build_layout, dump_layout
+from logs.layout import build_layout, busiest_robots, dump_layout
 from logs.mcap_format import (
     ATTACHMENTS,
     EPOCH,
@@ -39,10 +36,9 @@ from logs.mcap_format import (
     VERSIONS_METADATA,
     WORLD_NAME,
     ContentHash,
-    time_ns,
 )
-from logs.protobuf import encode, message_name, schema_data
-from logs.records import RECORD_TYPES, Record, RunEnd, RunStart, Sample
+from logs.messages import MessageStream
+from logs.records import Record, RunEnd
 from planner.plan import Plan
 from planner.problem import Problem
 from worlds.floor import Floor
@@ -108,14 +104,15 @@ class RunLog:
                         "--overwrite"
                     )
         self._inputs = (world, radio_map, problem, plan)
-        self._view = View(world, floor, radio_map, problem, plan)
-        self._layout = dump_layout(build_layout(world, problem, radio_map, plan.prices))
-        self._robots, self._aps = problem.robot_ids, problem.ap_ids
+        with self._named():
+            self._stream = MessageStream(world, floor, radio_map, problem, plan)
+        self._layout = dump_layout(
+            build_layout(world, problem, radio_map, plan.prices, busiest_robots(plan))
+        )
         self._file: BinaryIO | None = None
         self._channels: dict[str, int] = {}
         self._sequences: dict[str, int] = {}
         self._hash = ContentHash()
-        self._last: Record | None = None
 
     @property
     def _part(self) -> Path:
@@ -155,18 +152,9 @@ class RunLog:
         """
         if self._file is None:
             raise LogError(f"{self.path}: the log is not open; write inside `with RunLog(…)`")
-        refusal, topic = self._refusal(record), self._topic(record)
-        if refusal or topic is None:
-            reason = refusal or "its robot or AP is none of the problem's"
-            raise LogError(f"{self.path}: {type(record).__name__} at t = {record.t_s} s: {reason}")
-        data = encode(record)
-        with self._os_errors():
-            for message in self._view.before(record):
+        with self._os_errors(), self._named():
+            for message in self._stream.of(record):
                 self._message(*message)
-            self._message(topic, time_ns(record.t_s), data)
-            for message in self._view.after(record):
-                self._message(*message)
-        self._last = record
 
     # --- the file ---------------------------------------------------------------------------
 
@@ -180,40 +168,22 @@ class RunLog:
         )
         self._writer.start(library=f"mapp-twin/{_version('mapp-twin')}")
         world, radio_map, problem, plan = self._inputs
-        self._metadata(RUN_METADATA, _run_metadata(world))
+        self._metadata(RUN_METADATA, run_metadata(world))
         self._metadata(VERSIONS_METADATA, _versions())
         contents = _attachments(world, radio_map, problem, plan, self._layout)
         for name, media_type in ATTACHMENTS.items():
             self._hash.attachment(name, media_type, contents[name])
             self._writer.add_attachment(EPOCH_NS, EPOCH_NS, name, media_type, contents[name])
 
-        for record_type in RECORD_TYPES:
-            schema = self._writer.register_schema(
-                message_name(record_type), "protobuf", schema_data(record_type)
-            )
-            topic = record_type.topic
-            names = (
-                [topic.format(robot=name) for name in self._robots]
-                if "{robot}" in topic
-                else [topic.format(ap=name) for name in self._aps]
-            )
-            for name in names if "{" in topic else [topic]:
-                self._channel(name, schema)
         schemas: dict[str, int] = {}
-        for topic, message_class in self._view.topics.items():
-            full_name = message_class.DESCRIPTOR.full_name
-            if full_name not in schemas:
-                files = build_file_descriptor_set(message_class)
-                schemas[full_name] = self._writer.register_schema(
-                    full_name, "protobuf", files.SerializeToString(deterministic=True)
+        for topic, kind in self._stream.channels.items():
+            if kind.name not in schemas:
+                schemas[kind.name] = self._writer.register_schema(
+                    kind.name, "protobuf", kind.schema
                 )
-            self._channel(topic, schemas[full_name])
-
-    def _channel(self, topic: str, schema: int) -> None:
-        if topic in self._channels:
-            raise LogError(f"{self.path}: two robots or APs would share the topic {topic}")
-        self._channels[topic] = self._writer.register_channel(topic, "protobuf", schema)
-        self._sequences[topic] = 0
+            schema = schemas[kind.name]
+            self._channels[topic] = self._writer.register_channel(topic, "protobuf", schema)
+            self._sequences[topic] = 0
 
     def _metadata(self, name: str, values: dict[str, str]) -> None:
         self._hash.metadata(name, values)
@@ -226,7 +196,7 @@ class RunLog:
         self._writer.add_message(self._channels[topic], log_time, data, log_time, sequence)
 
     def _finish(self) -> None:
-        if not isinstance(self._last, RunEnd):
+        if not isinstance(self._stream.last, RunEnd):
             raise LogError(f"{self.path}: the run gave no RunEnd record; no log is kept")
         if self._file is None:
             raise LogError(f"{self.path}: the log is closed")
@@ -251,33 +221,13 @@ class RunLog:
         with suppress(OSError):
             self._part.unlink(missing_ok=True)
 
-    # --- what may be written ----------------------------------------------------------------
-
-    def _refusal(self, record: Record) -> str | None:
-        """Why a record may not come now, None if it may."""
-        if not math.isfinite(record.t_s):
-            return "its time is no number"
-        if self._last is None:
-            if not isinstance(record, RunStart):
-                return "the first record of a log is RunStart"
-            if (record.robots, record.aps) != (self._robots, self._aps):
-                return "its robots and APs are not those of the problem, in its order"
-        elif isinstance(record, RunStart) or isinstance(self._last, RunEnd):
-            return "RunStart is the first record of a log and RunEnd its last"
-        elif record.t_s < self._last.t_s:
-            return f"comes after a record of t = {self._last.t_s} s; time only grows"
-        if isinstance(record, Sample):
-            return _sample_refusal(record, len(self._robots), len(self._aps))
-        return None
-
-    def _topic(self, record: Record) -> str | None:
-        """The record's topic, None if it speaks of a robot or AP that the problem has not."""
-        topic = record.topic
-        if "{" in topic:
-            topic = topic.format(
-                robot=getattr(record, "robot", None), ap=getattr(record, "ap", None)
-            )
-        return topic if topic in self._channels else None
+    @contextmanager
+    def _named(self) -> Iterator[None]:
+        """Name the file in a refusal."""
+        try:
+            yield
+        except LogError as error:
+            raise LogError(f"{self.path}: {error}") from error
 
     @contextmanager
     def _os_errors(self) -> Iterator[None]:
@@ -288,27 +238,6 @@ class RunLog:
             raise LogError(
                 f"{self.path}: cannot be written: {error.strerror or error}; choose another place"
             ) from error
-
-
-def _sample_refusal(sample: Sample, robots: int, aps: int) -> str | None:
-    columns = (
-        sample.x_m,
-        sample.y_m,
-        sample.heading_rad,
-        sample.ap,
-        sample.snr_db,
-        sample.map_snr_db,
-        sample.link,
-        sample.rate_mbps,
-    )
-    n = len(sample.robot)
-    if any(len(column) != n for column in columns):
-        return "its columns are not equally long"
-    if n and not (min(sample.robot) >= 0 and max(sample.robot) < robots):
-        return f"a robot's index is not in 0 … {robots - 1}"
-    if n and not (min(sample.ap) >= -1 and max(sample.ap) < aps):
-        return f"an AP's index is not in −1 … {aps - 1}"
-    return None
 
 
 def _attachments(
@@ -328,7 +257,7 @@ def _attachments(
     }
 
 
-def _run_metadata(world: World) -> dict[str, str]:
+def run_metadata(world: World) -> dict[str, str]:
     """Format, epoch, and every seed the run depends on."""
     seeds = {
         "seed.obstacles": world.obstacles.random.seed if world.obstacles else None,

@@ -21,15 +21,15 @@ import mmap
 import time
 import traceback
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from logs.errors import LogError
 from logs.findings import Checks, Finding, Report
 from logs.mcap_format import time_ns
-from logs.protobuf import CODECS, decode
-from logs.records import Record
+from logs.protobuf import CODECS, decode, message_name
+from logs.records import Record, RunEnd
 
 if TYPE_CHECKING:
     from logs.validate_container import Contents
@@ -107,7 +107,7 @@ def _check_run(contents: Contents, inputs: Inputs, checks: Checks, tell: OnProgr
     from worlds.scene import Scene
 
     try:
-        context = Context.of(inputs, checks)
+        context = Context.of(inputs, checks, _last_slot(contents))
     except ValueError as error:
         checks.find(2, "page6:inputs", error, "a problem and plan of this world")
         checks.skip(f"steps 3 and 4: {error}")
@@ -134,6 +134,17 @@ def _check_run(contents: Contents, inputs: Inputs, checks: Checks, tell: OnProgr
         run.finish()
         with _reader(checks, 4):
             kpis.finish()
+
+
+def _last_slot(contents: Contents) -> int | None:
+    """The slot RunEnd names, None without one: how long the run is said to have lasted."""
+    found = None
+    for _, schema, message in contents.messages():
+        if schema == message_name(RunEnd):
+            with suppress(LogError):
+                end = decode(schema, bytes(message.data))
+                found = end.slot if isinstance(end, RunEnd) and end.slot >= 0 else found
+    return found
 
 
 def _check_envelope(record: Record, topic: str, log_time: int, checks: Checks) -> None:

@@ -8,6 +8,7 @@ Rules: `container:` and one of structure, crc, index, statistics, schema, payloa
 from __future__ import annotations
 
 import zlib
+from array import array
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -17,6 +18,7 @@ from mcap import records as mcap_records
 from mcap.opcode import Opcode
 
 from logs.container import (
+    HEAD_BYTES,
     MAGIC,
     DamageError,
     Piece,
@@ -76,6 +78,37 @@ class Contents:
                         yield channel, schema.name, message
 
 
+class _Pieces:
+    """Where the pieces of a file are: a few bytes each, a long log has a million of them."""
+
+    def __init__(self, data: memoryview) -> None:
+        self._data = data
+        self._opcodes = bytearray()
+        self._offsets = array("Q")
+        self._ends = array("Q")
+
+    def append(self, piece: Piece) -> None:
+        """The next piece."""
+        self._opcodes.append(piece.opcode)
+        self._offsets.append(piece.offset)
+        self._ends.append(piece.end)
+
+    def __len__(self) -> int:
+        return len(self._opcodes)
+
+    def __getitem__(self, number: int) -> Piece:
+        offset, end = self._offsets[number], self._ends[number]
+        return Piece(self._opcodes[number], offset, self._data[offset + HEAD_BYTES : end])
+
+    def between(self, first: int, behind: int) -> list[Piece]:
+        """The pieces from `first` to the one before `behind`."""
+        return [self[number] for number in range(first, behind)]
+
+    def opcode(self, number: int) -> int:
+        """The kind of one of them."""
+        return self._opcodes[number]
+
+
 class ContainerWalk:
     """Walks the data section of a file, holding every part against the others.
 
@@ -100,14 +133,15 @@ class ContainerWalk:
         self._payloads = Payloads(checks)
         self._last_time = 0
         self._hash = ContentHash()
-        self._pieces: list[Piece] = []
         self._damage: DamageError | None = None
         body = data[: -len(MAGIC)] if bytes(data[-len(MAGIC) :]) == MAGIC else data
+        self._pieces = _Pieces(body)
         try:
-            self._pieces.extend(pieces(body, len(MAGIC)))
+            for piece in pieces(body, len(MAGIC)):
+                self._pieces.append(piece)
         except DamageError as error:
             self._damage = error
-        header = self._parse(self._pieces[0]) if self._pieces else None
+        header = self._parse(self._pieces[0]) if len(self._pieces) else None
         if not isinstance(header, mcap_records.Header):
             raise LogError(
                 f"{name} ends, or is damaged, before its header; nothing of it can be read. "
@@ -132,10 +166,10 @@ class ContainerWalk:
                     behind = at
                     while (
                         behind < len(self._pieces)
-                        and self._pieces[behind].opcode == Opcode.MESSAGE_INDEX
+                        and self._pieces.opcode(behind) == Opcode.MESSAGE_INDEX
                     ):
                         behind += 1
-                    self._chunk(piece, self._pieces[at:behind])
+                    self._chunk(piece, self._pieces.between(at, behind))
                     at = behind
                     tell(piece.end / len(self._data))
                 case Opcode.SCHEMA | Opcode.CHANNEL:
@@ -146,7 +180,7 @@ class ContainerWalk:
                     self._metadata(piece)
                 case Opcode.DATA_END:
                     self._data_end(piece)
-                    self.summary = self._pieces[at:]
+                    self.summary = self._pieces.between(at, len(self._pieces))
                     return whole
                 case _:
                     self._misplaced(piece, "the data section")

@@ -11,7 +11,7 @@ from logs.findings import Checks
 from logs.mcap_format import time_ns
 from logs.records import LINKS, RunStart
 from logs.validate_inputs import Inputs
-from planner.plan import Plan
+from logs.validate_itinerary import Itinerary
 
 Bools = NDArray[np.bool_]
 Floats = NDArray[np.float64]
@@ -20,40 +20,10 @@ Ints = NDArray[np.int64]
 STEP = 3
 METRES = 1e-6
 """Positions that differ by more are different."""
+POLICIES = {"group": "group-commit", "strict": "strict"}
+"""What `run.policy` is called in RunStart."""
 DECIBELS = 1e-6
 """SNRs that differ by more are different."""
-
-
-class Timetable:
-    """Where the plan has each robot in each slot, as columns over all states of all paths.
-
-    Attributes:
-        arrival: (N,) slot of arrival, −1 for robots without a path.
-        last: the slot of the last arrival.
-        vertex, ap, edge: (S,), edge −1 in each path's last state; robot i's state t is row
-            `first[i] + t`.
-    """
-
-    def __init__(self, plan: Plan, park: bool) -> None:
-        paths = [path for path in plan.paths if path is not None]
-        self.arrival: Ints = np.array(
-            [-1 if path is None else path.arrival for path in plan.paths], np.int64
-        )
-        self.last = int(self.arrival.max(initial=0))
-        self.first: Ints = np.concatenate([[0], np.cumsum(self.arrival + 1)])[:-1].astype(np.int64)
-        none = np.empty(0, np.int64)
-        self.vertex: Ints = np.concatenate([none, *(path.vertices for path in paths)])
-        self.ap: Ints = np.concatenate([none, *(path.aps for path in paths)])
-        self.edge: Ints = np.concatenate([none, *(np.append(path.edges, -1) for path in paths)])
-        self._park = park
-
-    def on_floor(self, slot: int) -> Ints:
-        """Robots on the floor during a slot, ascending (§1.4)."""
-        return np.flatnonzero((self.arrival >= 0) & (self._park | (slot <= self.arrival)))
-
-    def rows(self, robots: Ints, slot: int) -> Ints:
-        """The row of each robot's state in a slot."""
-        return self.first[robots] + np.minimum(slot, self.arrival[robots])
 
 
 @dataclass(frozen=True)
@@ -67,7 +37,10 @@ class Context:
         steps: parts of a slot from one sample to the next.
         robot, ap: index by name.
         floor_vertex, floor_edge: index on the floor of each vertex and edge of the problem.
-        timetable: of the plan.
+        itinerary: the paths in force, as far as the records have been read.
+        last: the run's last slot, as RunEnd tells it.
+        planned_last: the slot of the plan's last arrival.
+        disturbed: the run need not be as planned, slot for slot.
     """
 
     inputs: Inputs
@@ -78,11 +51,14 @@ class Context:
     ap: dict[str, int]
     floor_vertex: Ints
     floor_edge: Ints
-    timetable: Timetable
+    itinerary: Itinerary
+    last: int
+    planned_last: int
+    disturbed: bool
 
     @classmethod
-    def of(cls, inputs: Inputs, checks: Checks) -> Context:
-        """The context of a run from these inputs.
+    def of(cls, inputs: Inputs, checks: Checks, last: int | None = None) -> Context:
+        """The context of a run from these inputs; `last` is its last slot, the plan's if None.
 
         Raises:
             ValueError: the problem is not that of the world; there is nothing to hold a run to.
@@ -103,12 +79,19 @@ class Context:
             samples_per_slot=world.run.samples_per_slot,
             interruption_s=world.run.interruption_s,
             threshold_db=world.radio.threshold_db,
-            policy="",
+            policy=POLICIES[world.run.policy],
             at_goal=problem.at_goal,
             seed=world.run.seed,
             robots=problem.robot_ids,
             aps=problem.ap_ids,
             ap_capacity=tuple(problem.ap_capacity.tolist()),
+        )
+        planned_last = max((p.arrival for p in inputs.plan.paths if p is not None), default=0)
+        disturbed = bool(
+            world.delays.p_delay > 0
+            or world.event
+            or world.run.policy != "group"
+            or world.run.robots_block
         )
         return cls(
             inputs=inputs,
@@ -119,7 +102,10 @@ class Context:
             ap={name: a for a, name in enumerate(start.aps)},
             floor_vertex=vertices.astype(np.int64),
             floor_edge=edges.astype(np.int64),
-            timetable=Timetable(inputs.plan, problem.at_goal == "park"),
+            itinerary=Itinerary(inputs.plan, problem, problem.at_goal == "park"),
+            last=planned_last if last is None else last,
+            planned_last=planned_last,
+            disturbed=disturbed,
         )
 
     def t_ns(self, slot: int, step: int = 0) -> int:
@@ -169,6 +155,9 @@ class SlotView:
         piece: (n,) slots since the crossing was entered.
         slots: (n,) the edge takes, 1 at a vertex.
         moves: (n,) bool, position changes in this slot.
+        visit: (n,) state of its path.
+        advances: (n,) bool, it makes the transition of that state in this slot.
+        arrived: (n,) bool, it is at its goal for good.
         ap: (n,) AP that serves at the slot's beginning, −1 for none.
         load_ap: (n,) AP it counts for: that of the vertex it left (§1.6).
         start_m, end_m: (n, 2) float64, where it is at the slot's beginning and end [m].
@@ -182,6 +171,9 @@ class SlotView:
     piece: Ints
     slots: Ints
     moves: Bools
+    visit: Ints
+    advances: Bools
+    arrived: Bools
     ap: Ints
     load_ap: Ints
     start_m: Floats

@@ -55,13 +55,15 @@ class IncidentCheck:
         match kind:
             case "collision":  # of three at a place, two pairs are told: compare robot by robot
                 keys = [(kind, slot, (name,), "") for name in (incident.robot, incident.other)]
-            case "contact":
+            case "contact" | "caught":
                 pair = sorted((incident.robot, incident.other))
                 keys = [(kind, slot, (pair[0], pair[1]), "")]
             case "obstacle" | "unserved":
                 keys = [(kind, slot, (incident.robot,), "")]
             case "overload":
                 keys = [(kind, slot, (), incident.ap)]
+            case "deadlock":
+                keys = [(kind, slot, (), "")]
             case "outage":
                 keys = [(kind, time_ns(incident.t_s), (incident.robot,), incident.ap)]
             case _:
@@ -74,6 +76,15 @@ class IncidentCheck:
                 self._find(f"{self._text(key)}, told twice", "once", slot)
             self._told[key] = incident.value
             self._slot[key] = slot
+
+    def expect_deadlock(self, slot: int) -> None:
+        """A deadlock of which the log should tell, however many robots are in its circle."""
+        key: Key = ("deadlock", slot, (), "")
+        self._real[key] = self._told.get(key, 0.0)
+
+    def has_told(self, kind: str, slot: int) -> bool:
+        """Whether the log tells of an incident of this kind in a slot."""
+        return any(key[:2] == (kind, slot) for key in self._told)
 
     def finish(self, end: RunEnd | None) -> None:
         """Compare, and hold the verdict against what was found."""

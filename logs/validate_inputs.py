@@ -98,6 +98,7 @@ def read_inputs(contents: Contents, checks: Checks) -> Inputs | None:
 
 def check_inputs(inputs: Inputs, contents: Contents, checks: Checks) -> None:
     """Step 2: plan against problem, problem against world and radio map, claims against both."""
+    from logs.validate_map import check_radio_map
     from planner.check import check_plan
     from planner.problem import problem_from_world
 
@@ -141,6 +142,7 @@ def check_inputs(inputs: Inputs, contents: Contents, checks: Checks) -> None:
     checks.same(2, "page6:radio-map", "shapes", shapes, expected_shapes)
     if shapes != expected_shapes:
         return
+    check_radio_map(world, floor, radio_map, checks)
     try:
         expected = problem_from_world(world, floor, radio_map)
     except ValueError as error:

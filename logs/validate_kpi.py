@@ -8,7 +8,7 @@ from dataclasses import fields
 from logs.findings import Checks
 from logs.kpi import KpiFold, planned_figures
 from logs.mcap_format import time_ns
-from logs.records import ApKpi, Kpi, Record, RobotKpi
+from logs.records import ApKpi, Kpi, Record, RobotKpi, Waits
 from logs.validate_context import Context
 
 STEP = 4
@@ -26,6 +26,7 @@ class KpiCheck:
         self._slot = 0  # of the next Kpi
         self._final: dict[str, RobotKpi | ApKpi] | None = None
         self._met: set[str] = set()
+        self._waits = 0
 
     def add(self, record: Record) -> None:
         """The next record."""
@@ -35,6 +36,10 @@ class KpiCheck:
                 self._compare(record, self._fold.current(record.t_s, record.slot), record.slot)
             case RobotKpi() | ApKpi():
                 self._check_final(record)
+            case Waits():
+                real = self._fold.waits(record.t_s)
+                self._checks.same(STEP, _RULE, "who waits for whom", record, real)
+                self._waits += 1
             case _:
                 self._fold.add(record)
 
@@ -53,7 +58,7 @@ class KpiCheck:
         self._slot = kpi.slot + 1
 
     def _check_final(self, told: RobotKpi | ApKpi) -> None:
-        last = self._context.timetable.last
+        last = self._context.last
         if self._final is None:
             figures = self._fold.final(told.t_s, last)
             self._final = {figure.topic + _name(figure): figure for figure in figures}
@@ -83,8 +88,9 @@ class KpiCheck:
 
     def finish(self) -> None:
         """Every slot has its figures, and every robot and AP at the end."""
-        last = self._context.timetable.last
+        last = self._context.last
         self._checks.same(STEP, _RULE, "slots with a Kpi:", self._slot, last + 1)
+        self._checks.same(STEP, _RULE, "Waits records:", self._waits, 1)
         start = self._context.start
         expected = len(start.robots) + len(start.aps)
         self._checks.same(STEP, _RULE, "robots and APs with figures:", len(self._met), expected)

@@ -14,6 +14,7 @@ from logs.mcap_format import time_ns
 from logs.records import Sample, Separation
 from logs.validate_bodies import Motions, candidates, least_clearance
 from logs.validate_context import METRES, STEP, Bools, Context, Floats, Ints, SlotView
+from logs.validate_disturbances import DisturbanceCheck
 from logs.validate_incidents import IncidentCheck
 from worlds.boxes import footprint_hits, swept
 from worlds.errands import robot_height_m
@@ -27,10 +28,14 @@ _SAME_M = 9  # decimals to which equal strips are equal
 class PoseCheck:
     """Checks the poses of each sample, and in batches of slots what the bodies come near to."""
 
-    def __init__(self, context: Context, incidents: IncidentCheck) -> None:
+    def __init__(
+        self, context: Context, incidents: IncidentCheck, disturbances: DisturbanceCheck
+    ) -> None:
         body = context.inputs.world.hall.body
         self._context = context
         self._incidents = incidents
+        self._disturbances = disturbances
+        self._caught: dict[int, str] = {}  # robots that touch a blockage in the slot
         self._body = body
         self._half_m = np.array([body.length_m / 2.0, body.width_m / 2.0])
         self._height_m = robot_height_m(context.inputs.world)
@@ -70,6 +75,24 @@ class PoseCheck:
             self._heading = np.zeros(len(context.start.robots))
             self._heading[robot] = heading
         self._check_heading(sample, robot, heading, view, there)
+        self._check_blockages(sample, robot, found, heading, view.moves[there])
+
+    def _check_blockages(
+        self, sample: Sample, robot: Ints, xy_m: Floats, heading: Floats, moves: Bools
+    ) -> None:
+        """No robot drives into a blockage; one that stands may be caught by it."""
+        boxes = self._disturbances.boxes()
+        if not len(boxes) or not len(robot):
+            return
+        hit = footprint_hits(boxes, xy_m, self._half_m, heading, body_height_m=self._height_m)
+        touches = hit >= 0
+        names, free = np.array([*boxes.name, "none"]), np.full(len(robot), "apart from it")
+        what = f"at {sample.t_s} s drives and touches"
+        self._context.each(
+            "page5:blockage", sample.slot, robot, touches & moves, what, names[hit], free
+        )
+        for k in np.flatnonzero(touches).tolist():
+            self._caught.setdefault(int(robot[k]), boxes.name[hit[k]])
 
     def _check_heading(
         self, sample: Sample, robot: Ints, heading: Floats, view: SlotView, there: Ints
@@ -110,7 +133,10 @@ class PoseCheck:
         """A slot is over: queue what its bodies did."""
         heading = self._heading[view.robot] if len(self._heading) else np.zeros(len(view.robot))
         reaches = view.moves & (view.piece == view.slots - 1)
-        leaves: Bools = self._context.timetable.arrival[view.robot] == view.slot
+        leaves: Bools = view.arrived
+        for i, name in self._caught.items():
+            self._incidents.expect("caught", view.slot, (self._context.name(i), name))
+        self._caught = {}
         motions = Motions(
             start_m=view.start_m,
             end_m=view.end_m,

@@ -2,7 +2,12 @@
 
 Handovers are followed record by record, so each change of the AP has its record and each record its
 change. SNRs are computed anew: a ray in a fresh scene for each place, the channel's formulas, and
-the fading of the radio map. Link and rate follow from SNR and interruptions.
+the fading of the radio map; where something moves, with all that moves in its place at that sample.
+Link and rate follow from SNR and interruptions.
+
+An AP that is out serves nobody, and nobody else loses its AP. A handover that is not in the plan
+needs its reason: at the sample before, the new AP reached the threshold, and the old one was lost,
+or below the threshold and worse by the hysteresis, or not the plan's.
 """
 
 from __future__ import annotations
@@ -12,7 +17,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from logs.mcap_format import time_ns
-from logs.records import CONNECTED, GONE, HANDOVER, LINKS, OUTAGE, Handover, RobotState, Sample
+from logs.records import (
+    CONNECTED,
+    GONE,
+    HANDOVER,
+    LINKS,
+    NO_AP,
+    OUTAGE,
+    Handover,
+    RobotState,
+    Sample,
+)
 from logs.validate_context import (
     DECIBELS,
     METRES,
@@ -23,7 +38,9 @@ from logs.validate_context import (
     Ints,
     SlotView,
 )
+from logs.validate_disturbances import DisturbanceCheck, Truth
 from logs.validate_incidents import IncidentCheck
+from logs.validate_scene import Bodies
 from worlds.channel import data_rate_mbps
 from worlds.link import LinkModel
 
@@ -31,7 +48,10 @@ if TYPE_CHECKING:
     from worlds.scene import Scene
 
 _HANDOVER, _SNR, _LINK, _RATE = "page5:handover", "page5:snr", "page5:link", "page5:rate"
-_CONNECTED_AT, _HANDOVER_AT, _OUTAGE_AT = (LINKS.index(n) for n in (CONNECTED, HANDOVER, OUTAGE))
+_CONNECTED_AT, _HANDOVER_AT, _OUTAGE_AT, _NO_AP_AT = (
+    LINKS.index(n) for n in (CONNECTED, HANDOVER, OUTAGE, NO_AP)
+)
+_NO_SNR_DB = -1000.0
 _ENTRIES_AT_ONCE = 100_000
 _SECONDS = 1e-6
 _ROUNDING_NS = 2  # a handover that ends with a sample may end on either side of it
@@ -40,9 +60,20 @@ _ROUNDING_NS = 2  # a handover that ends with a sample may end on either side of
 class RadioCheck:
     """Follows every robot's link from record to record."""
 
-    def __init__(self, context: Context, incidents: IncidentCheck, scene: Scene) -> None:
+    def __init__(
+        self,
+        context: Context,
+        incidents: IncidentCheck,
+        scene: Scene,
+        truth: Truth,
+        disturbances: DisturbanceCheck,
+    ) -> None:
         n = len(context.start.robots)
-        self._context = context
+        self._context, self._truth = context, truth
+        self._bodies = Bodies(context, scene, truth, disturbances)
+        self.unplanned: Bools = np.zeros(n, np.bool_)
+        """Robots whose last handover was not planned."""
+        self._place: Floats = np.full((n, 3), np.nan)  # x, y and fading at the last sample
         self._incidents = incidents
         self._scene = scene
         self._links = LinkModel(context.inputs.world)
@@ -50,10 +81,10 @@ class RadioCheck:
         # The last AP is none, which covers nothing; the last edge is none, too.
         self._cover = np.pad(problem.cover, ((0, 0), (0, 1)))
         self._edge_cover = np.pad(problem.edge_cover, ((0, 1), (0, 1)))
-        table = context.timetable
-        has_path = table.arrival >= 0
         self._ap = np.full(n, -1, np.int64)  # that serves now: at first the plan's
-        self._ap[has_path] = table.ap[table.first[has_path]]
+        for i, walk in enumerate(context.itinerary.walks):
+            if walk is not None:
+                self._ap[i] = walk.ap[0]
         self._until_ns = np.zeros(n, np.int64)  # end of the last interruption
         self._spans: dict[int, list[tuple[float, float]]] = {}  # interruptions that may matter
         self._shown = np.full((n, 2), -1, np.int64)  # AP and link of the last state
@@ -95,8 +126,11 @@ class RadioCheck:
         lasts = handover.end_s - handover.t_s
         if not abs(lasts - start.interruption_s) <= _SECONDS:
             self._find(_HANDOVER, f"lasts {lasts} s", f"{start.interruption_s} s", slot, robot)
-        if not handover.planned:
-            self._find(_HANDOVER, "an unplanned handover", "planned ones only", slot, robot)
+        self.unplanned[i] = not handover.planned
+        if not self._truth.is_up(after, now):
+            self._find(_HANDOVER, f"to {handover.to_ap}, which is out", "an AP that works", slot,
+                       robot)  # fmt: skip
+        self._check_reason(handover, i, before, after, view)
         begins, ends = context.t_ns(slot), context.t_ns(slot + 1)
         if not begins < now <= ends or view is None or view.slot != slot:
             self._find(_HANDOVER, f"at {handover.t_s} s", "within its slot", slot, robot)
@@ -107,6 +141,45 @@ class RadioCheck:
         if spans:  # a new handover cuts one that still lasts
             spans[-1] = (spans[-1][0], min(spans[-1][1], handover.t_s))
         self._spans[i] = [*spans, (handover.t_s, handover.end_s)]
+
+    def _check_reason(
+        self, handover: Handover, i: int, before: int, after: int, view: SlotView | None
+    ) -> None:
+        """A planned handover is in the path, another one has its reason."""
+        slot, robot = handover.slot, handover.robot
+        walk = self._context.itinerary.walks[i]
+        k = int(np.searchsorted(view.robot, i)) if view is not None else 0
+        if walk is None or view is None or k == len(view.robot) or view.robot[k] != i:
+            return  # `_check_place` finds it
+        visit = min(int(view.visit[k]), walk.last)
+        # On an edge of several slots the change may come before the last of them (§1.6).
+        left = int(view.slots[k] - view.piece[k]) if view.edge[k] >= 0 else 1
+        end = min(visit + left, walk.last)
+        if handover.planned:
+            planned = (int(walk.ap[visit]), int(walk.ap[end]))
+            if (before, after) != planned or not view.advances[k]:
+                found = f"a planned handover {handover.from_ap} to {handover.to_ap}"
+                expected = f"{self._ap_name(planned[0])} to {self._ap_name(planned[1])} by its path"
+                self._find(_HANDOVER, found, expected, slot, robot)
+            return
+        if not self._truth.affects_radio:
+            self._find(_HANDOVER, "an unplanned handover", "planned ones only", slot, robot)
+            return
+        place, fading = self._place[i, None, :2], self._place[i, 2:]
+        heard = {a: float(self._bodies.snr_db([i], np.array([a]), place, fading)[0])
+                 for a in {before, after} if a >= 0}  # fmt: skip
+        threshold = self._context.start.threshold_db
+        gain = self._context.inputs.world.run.hysteresis_db
+        old = heard.get(before, _NO_SNR_DB)
+        to_plan = after in {int(walk.ap[visit]), int(walk.ap[end])}
+        good = before >= 0 and old >= threshold
+        need = threshold + (gain if good else 0.0)
+        if not to_plan and before >= 0:
+            need = max(threshold, old + gain)
+        if heard[after] < need - DECIBELS or (good and not to_plan):
+            found = f"an unplanned handover to {handover.to_ap} of {heard[after]:.3f} dB"
+            expected = f"{need:.3f} dB or more, and a reason to leave {old:.3f} dB"
+            self._find(_HANDOVER, found, expected, slot, robot)
 
     def _check_place(self, handover: Handover, i: int, view: SlotView, share: float) -> None:
         place = np.flatnonzero(view.robot == i)
@@ -140,6 +213,11 @@ class RadioCheck:
         ap, link = context.ap.get(state.ap, -1), LINKS.index(state.link)
         now = time_ns(state.t_s)
         context.checks.count(STEP, _LINK)
+        if not self._truth.is_up(ap, self._sample_ns(state)):  # APs go out at sample instants
+            found = f"at {state.t_s} s served by {state.ap}, which is out"
+            self._find(_HANDOVER, found, "by none, or by another AP", state.slot, state.robot)
+        if ap < 0 and self._may_lose(i, now):
+            self._ap[i] = -1
         if ap != self._ap[i]:
             self._find(
                 _HANDOVER,
@@ -149,7 +227,7 @@ class RadioCheck:
                 state.robot,
             )
             self._ap[i] = ap
-        if now < self._until_ns[i] and link != _HANDOVER_AT:
+        if now < self._until_ns[i] and link != _HANDOVER_AT and ap >= 0:
             self._find(_LINK, f"{state.link} at {state.t_s} s", HANDOVER, state.slot, state.robot)
         self._shown[i] = ap, link
         self._stated_ns[i] = now
@@ -160,6 +238,10 @@ class RadioCheck:
             else:
                 found = f"a state at {state.t_s} s, where nothing changes"
                 self._find(_LINK, found, "states where a link changes", state.slot, state.robot)
+
+    def _may_lose(self, i: int, now_ns: int) -> bool:
+        """Whether the AP that serves robot i is out at a time."""
+        return bool(self._ap[i] >= 0 and not self._truth.is_up(int(self._ap[i]), now_ns))
 
     def _sample_ns(self, state: RobotState) -> int:
         """The sample instant at or before a state [ns]."""
@@ -204,6 +286,10 @@ class RadioCheck:
         when = f"at {sample.t_s} s"
         names = np.array([*context.start.aps, "none"])
 
+        out = np.array(
+            [not self._truth.is_up(a, now) for a in range(len(context.start.aps))] + [False]
+        )
+        self._ap[robot[out[self._ap[robot]]]] = -1
         wrong = ap != self._ap[robot]
         context.each(
             _HANDOVER,
@@ -215,11 +301,14 @@ class RadioCheck:
             names[self._ap[robot]],
         )
         self._ap[robot[wrong]] = ap[wrong]
-        some = np.full(len(ap), "exactly one AP")
-        context.each("§1.6", slot, robot, ap < 0, f"{when} served by", names[ap], some)
+        if not self._truth.affects_radio:
+            some = np.full(len(ap), "exactly one AP")
+            context.each("§1.6", slot, robot, ap < 0, f"{when} served by", names[ap], some)
 
+        self._until_ns[robot[ap < 0]] = np.minimum(self._until_ns[robot[ap < 0]], now)
         left_ns = self._until_ns[robot] - now
         measured = np.where(snr < threshold, _OUTAGE_AT, _CONNECTED_AT)
+        measured[ap < 0] = _NO_AP_AT
         expected = np.where(left_ns > 0, _HANDOVER_AT, measured)
         wrong = link != expected
         wrong &= (np.abs(left_ns) > _ROUNDING_NS) | ((link != measured) & (link != _HANDOVER_AT))
@@ -231,6 +320,7 @@ class RadioCheck:
         context.each(_RATE, slot, robot, off, f"{when} rate [Mbit/s]", rate, expected_rate)
 
         shown = (self._shown[robot] != np.column_stack([ap, link])).any(axis=1)
+        shown &= slot <= context.last  # at the run's last instant there are no states
         context.each(
             _LINK,
             slot,
@@ -247,11 +337,19 @@ class RadioCheck:
 
         self._sampled[robot, 0] = snr
         self._check_prediction(slot, view, there, step, ap, predicted, snr)
+        nothing = (ap < 0) & ((snr != _NO_SNR_DB) | (predicted != _NO_SNR_DB))
+        silent = np.full(len(ap), _NO_SNR_DB)
+        context.each(_SNR, slot, robot, nothing, f"{when} without an AP, SNR [dB]", snr, silent)
         xy = np.column_stack([sample.x_m, sample.y_m])[here].reshape(-1, 2)
         fading = self._fading(view, there, step, ap)
         served = ap >= 0
         entries = np.column_stack([xy, fading, snr])[served]
-        if len(entries):
+        heading = np.array(sample.heading_rad, np.float64)[here]
+        self._place[robot] = np.column_stack([xy, fading])
+        if self._bodies.needed:
+            self._bodies.place(robot, xy, heading)
+            self._compare_now(slot, robot[served], ap[served], entries)
+        elif len(entries):
             self._queue.append((slot, robot[served], ap[served], entries))
         self._queued += len(entries)
         if self._queued > _ENTRIES_AT_ONCE:
@@ -304,6 +402,13 @@ class RadioCheck:
         what = "SNR of the radio map [dB]"
         self._context.each(_SNR, slot, view.robot[there], off, what, predicted, expected)
 
+    def _compare_now(self, slot: int, robot: Ints, ap: Ints, entries: Floats) -> None:
+        """SNRs of a sample, with all that moves in its place."""
+        snr = self._bodies.snr_db(robot.tolist(), ap, entries[:, :2], entries[:, 2])
+        off = ~(np.abs(snr - entries[:, 3]) <= DECIBELS)
+        what = "SNR by a ray cast anew [dB]:"
+        self._context.each(_SNR, slot, robot, off, what, entries[:, 3], snr)
+
     # --- outages ------------------------------------------------------------------------------
 
     def _follow_outages(self, now: float, robot: Ints, ap: Ints, below: Bools) -> None:
@@ -321,17 +426,22 @@ class RadioCheck:
         lost = sum(
             max(0.0, min(end, now) - max(start, begin)) for start, end in self._spans.get(i, ())
         )
-        name, ap_name = self._context.name(i), self._ap_name(ap)
+        name, ap_name = self._context.name(i), self._ap_name(ap) if ap >= 0 else ""
         self._incidents.expect("outage", time_ns(now), (name,), ap_name, now - begin - lost)
 
     # --- a slot is over -----------------------------------------------------------------------
 
-    def close(self, view: SlotView) -> None:
+    def close(self, view: SlotView, deviates: Bools) -> None:
         """Served by APs that cover vertex (§1.6) and crossing (§1.7), handovers allowed (§1.7)."""
         context, problem = self._context, self._context.inputs.problem
         cover, edge_cover = self._cover, self._edge_cover
         names = np.array([*context.start.aps, "none"])
-        stands = view.piece == 0
+        # Where the radio is disturbed, APs that the plan does not have need not cover by the map.
+        strange = deviates[view.robot] | self.unplanned[view.robot]
+        if self._truth.affects_radio:  # who has to stay keeps the AP it has found
+            walks = [context.itinerary.walks[i] for i in view.robot.tolist()]
+            strange |= np.array([w is not None and not w.to_goal for w in walks], np.bool_)
+        stands = (view.piece == 0) & ~strange
         wrong = stands & ~cover[view.vertex, view.ap]
         what = "at a vertex served by"
         expected = np.full(len(stands), "an AP that covers the vertex")
@@ -351,9 +461,24 @@ class RadioCheck:
         waiting = (view.edge < 0) & ~kept & ~cover[view.vertex, after]
         pair = np.column_stack([names[view.load_ap], names[after]])
         expected = np.full(len(stands), "APs that cover edge or vertex as this needs")
-        wrong = stays | crossing | waiting
+        strange |= (after < 0) | (view.load_ap < 0) | (after != self._due(view, after))
+        wrong = (stays | crossing | waiting) & ~strange
         context.each("§1.7", view.slot, view.robot, wrong, "from AP to AP", pair, expected)
         self._handovers.clear()
+
+    def _due(self, view: SlotView, after: Ints) -> Ints:
+        """(n,) AP each robot's path has at the slot's end; `after` if nothing disturbs."""
+        if not self._truth.affects_radio:
+            return after
+        walks = [self._context.itinerary.walks[i] for i in view.robot.tolist()]
+        then = (view.visit + view.advances).tolist()
+        return np.array(
+            [
+                a if walk is None else int(walk.ap[min(k, walk.last)])
+                for walk, k, a in zip(walks, then, after.tolist(), strict=True)
+            ],
+            np.int64,
+        )
 
     def flush(self) -> None:
         """Cast the rays of all queued entries, one per place and AP, and compare SNRs."""
@@ -373,8 +498,10 @@ class RadioCheck:
         place[order] = np.cumsum(first) - 1
         chosen = order[first]
         antenna = self._links.antenna_m(np.column_stack([x, y]))
-        blocker = self._scene.cast(self._links.position_m[ap[chosen]], antenna[chosen])
-        expected = self._links.snr_db(ap, antenna, (blocker < 0)[place], fading)
+        sight = self._links.look(self._scene, ap[chosen], antenna[chosen])
+        expected = self._links.snr_db(
+            ap, antenna, sight.free[place], fading, sight.blockage_db[place]
+        )
         wrong = ~(np.abs(snr - expected) <= DECIBELS)
         checks = self._context.checks
         checks.count(STEP, _SNR, len(snr))

@@ -7,7 +7,7 @@ checks of states, poses, radio and incidents, which all learn of a new slot at t
 from __future__ import annotations
 
 import math
-from dataclasses import fields, replace
+from dataclasses import fields
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -24,20 +24,28 @@ from logs.records import (
     WAITING,
     ApLoad,
     Arrival,
+    Blockages,
+    Disturbance,
     Handover,
     Incident,
+    NewPath,
     Record,
+    Replan,
     RobotState,
     RunEnd,
     RunStart,
     Sample,
     Separation,
 )
+from logs.validate_commit import CommitCheck
 from logs.validate_context import STEP, Context, SlotView
+from logs.validate_disturbances import DisturbanceCheck, Truth
 from logs.validate_incidents import IncidentCheck
 from logs.validate_poses import PoseCheck
 from logs.validate_radio import RadioCheck
+from logs.validate_replans import ReplanCheck
 from logs.validate_states import StateCheck
+from worlds.events import longest_run_slots
 
 if TYPE_CHECKING:
     from worlds.radio_map import RadioMap
@@ -68,10 +76,14 @@ class RunCheck:
 
     def __init__(self, context: Context, scene: Scene) -> None:
         self._context = context
+        truth = Truth(context)
         self._incidents = IncidentCheck(context)
-        self._states = StateCheck(context, self._incidents)
-        self._poses = PoseCheck(context, self._incidents)
-        self._radio = RadioCheck(context, self._incidents, scene)
+        self._disturbances = DisturbanceCheck(context, truth)
+        self._commits = CommitCheck(context, truth, self._disturbances)
+        self._states = StateCheck(context, self._incidents, truth, self._commits)
+        self._replans = ReplanCheck(context, self._incidents, truth, self._states, self._commits)
+        self._poses = PoseCheck(context, self._incidents, self._disturbances)
+        self._radio = RadioCheck(context, self._incidents, scene, truth, self._disturbances)
         self._view: SlotView | None = None
         self._next = (0, 0)  # slot and step of the next sample
         self._started = False
@@ -92,6 +104,18 @@ class RunCheck:
         match record:
             case RunStart():
                 self._check_start(record)
+            case Disturbance():
+                self._commit_to_beginning(record)
+                self._disturbances.add(record)
+            case Blockages():
+                self._commit_until(record.slot)
+                self._disturbances.add_blockages(record)
+            case Replan():
+                self._commit_to_beginning(record)
+                self._replans.add(record)
+            case NewPath():
+                self._commit_to_beginning(record)
+                self._replans.add_path(record)
             case RobotState():
                 self._go_on(record)
                 self._radio.add_state(record)
@@ -119,10 +143,12 @@ class RunCheck:
 
     def finish(self) -> None:
         """No more records."""
-        context, last = self._context, self._context.timetable.last
+        context, last = self._context, self._context.last
         self._commit_until(last + 1)
         for slot, step in [self._next] if self._next != (last + 1, 1) else []:
             self._find("page5:sample", f"no sample of slot {slot}, instant {step}", "one", slot)
+        self._disturbances.finish(last)
+        self._replans.finish()
         self._poses.finish()
         self._radio.finish(self._last_s)
         self._incidents.finish(self._end)
@@ -131,11 +157,30 @@ class RunCheck:
         if self._end is None:
             self._find(_ORDER, "no RunEnd", "RunEnd as the last record")
         else:
-            slot, end = self._end.slot, self._end
-            context.checks.same(STEP, "page5:plan", "last slot", slot, last, slot=slot)
-            if time_ns(end.t_s) != context.t_ns(last + 1):
-                expected = f"the end of slot {last}"
-                self._find("page5:plan", f"the run ends at {end.t_s} s", expected, slot)
+            self._check_end(self._end)
+
+    def _check_end(self, end: RunEnd) -> None:
+        """The run ends when everybody is home, or when no further arrival is to be expected."""
+        context, last = self._context, self._context.last
+        if not context.disturbed:
+            context.checks.same(
+                STEP, "page5:plan", "last slot", end.slot, context.planned_last, slot=end.slot
+            )
+        if time_ns(end.t_s) != context.t_ns(last + 1):
+            expected = f"the end of slot {last}"
+            self._find("page5:plan", f"the run ends at {end.t_s} s", expected, end.slot)
+        limit = longest_run_slots(context.inputs.world)
+        context.checks.count(STEP, "page5:end")
+        if last >= limit:
+            found = f"the run lasts {last + 1} slots"
+            self._find("page5:end", found, f"at most {limit}", end.slot)
+        view = self._states.last_view
+        if view is None or last + 1 >= limit:
+            return
+        if not view.arrived.all() and view.advances.any():
+            away = [context.name(int(i)) for i in view.robot[~view.arrived]]
+            found = f"the run ends while {', '.join(away[:5])} are under way"
+            self._find("page5:end", found, "an end when nobody is, or can move", end.slot)
 
     def _find(self, rule: str, found: object, expected: object, slot: int | None = None) -> None:
         self._context.checks.find(STEP, rule, found, expected, slot=slot)
@@ -155,13 +200,14 @@ class RunCheck:
         for field in names:
             value = getattr(record, field)
             if value not in (context.robot if field == "robot" else context.ap):
-                optional = kind is Incident or (kind is RobotState and field == "ap")
+                optional = kind in {Incident, Disturbance}
+                optional |= kind is RobotState and field == "ap"
                 if value or not optional:
                     return f"{field} {value!r}, which does not take part"
-        last = context.timetable.last
+        last = context.last
         if not 0 <= getattr(record, "slot", 0) <= last + 1:
             slot = getattr(record, "slot", 0)
-            return f"slot {slot} at {record.t_s} s, where the plan ends in slot {last}"
+            return f"slot {slot} at {record.t_s} s, where the run ends in slot {last}"
         if isinstance(record, RobotState):
             if record.link not in LINKS or record.activity not in _ACTIVITIES:
                 return f"link {record.link!r}, activity {record.activity!r}"
@@ -194,7 +240,7 @@ class RunCheck:
         self._started = True
 
     def _check_start(self, start: RunStart) -> None:
-        expected = replace(self._context.start, policy=start.policy)
+        expected = self._context.start
         for field in fields(start):
             self._context.checks.same(
                 STEP,
@@ -211,12 +257,26 @@ class RunCheck:
         if time_ns(record.t_s) == self._context.t_ns(record.slot):
             self._commit_until(record.slot - 1)
 
+    def _commit_to_beginning(self, record: Disturbance | Replan | NewPath) -> None:
+        """A record of a slot's beginning, or of an instant within one."""
+        at_begin = time_ns(record.t_s) == self._context.t_ns(record.slot)
+        self._commit_until(record.slot - 1 if at_begin else record.slot)
+
     def _commit_until(self, slot: int) -> None:
         while self._states.slot <= slot:
+            self._begin(self._states.slot)
             if self._view is not None:
                 self._poses.close(self._view)
-                self._radio.close(self._view)
+                self._radio.close(self._view, self._states.deviates)
+            self._states.unplanned = self._radio.unplanned
             self._view = self._states.commit()
+
+    def _begin(self, slot: int) -> None:
+        """All that comes before the states of a slot has been told."""
+        self._commits.begin_slot()
+        if slot <= self._context.last:
+            self._disturbances.begin_slot(slot, self._states.busy())
+            self._replans.begin_slot(slot)
 
     def _add_sample(self, sample: Sample) -> None:
         context, slot = self._context, sample.slot
@@ -234,9 +294,11 @@ class RunCheck:
         if not on_time:
             return
         self._next = (slot, step + 1) if step + 1 < context.steps else (slot + 1, 0)
-        if slot == context.timetable.last + 1:
+        if slot == context.last + 1:
             self._next = (slot, step + 1)
         self._commit_until(slot)
+        self._disturbances.at_sample(slot, sample.t_s)
+        self._commits.add_sample(sample)
         if self._view is not None and self._view.slot == slot:
             self._poses.add_sample(sample, self._view, step)
             self._radio.add_sample(sample, self._view, step)

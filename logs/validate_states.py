@@ -2,18 +2,32 @@
 
 Each robot has one state at the beginning of each slot, from which all else follows: its moves are
 edges of G (§1.1), nobody shares a vertex (§1.2) or an edge (§1.3), the APs' loads are the counts of
-those they serve (§1.6), robots arrive and leave as §1.4 says. And the states are those of the plan.
+those they serve (§1.6), robots arrive and leave as §1.4 says. And the states are those of the paths
+in force: each robot's visits are a prefix of its path, none before its slot.
 """
 
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Sequence
 
 import numpy as np
 
 from logs.mcap_format import time_ns
-from logs.records import ARRIVED, GONE, MOVING, NO_AP, WAITING, ApLoad, Arrival, RobotState
+from logs.records import (
+    ARRIVED,
+    GONE,
+    HELD,
+    MOVING,
+    NO_AP,
+    WAITING,
+    ApLoad,
+    Arrival,
+    RobotState,
+)
+from logs.validate_commit import CommitCheck
 from logs.validate_context import STEP, Bools, Context, Ints, SlotView
+from logs.validate_disturbances import Truth
 from logs.validate_incidents import IncidentCheck
 
 _STATE, _PLAN = "page5:state", "page5:plan"
@@ -23,15 +37,29 @@ NO_SNR_DB = -1000.0
 class StateCheck:
     """Gathers the states of a slot's beginning and checks them together."""
 
-    def __init__(self, context: Context, incidents: IncidentCheck) -> None:
+    def __init__(
+        self, context: Context, incidents: IncidentCheck, truth: Truth, commits: CommitCheck
+    ) -> None:
         self._context = context
         self._incidents = incidents
+        self._truth, self._commits = truth, commits
+        walks = context.itinerary.walks
+        self.present = {i for i, walk in enumerate(walks) if walk is not None}
+        """Robots that are on the floor in the slot that is being gathered."""
+        self._left: dict[int, tuple[int, int]] = {}  # who leaves: last visit, its vertex
+        self._home: set[int] = set()  # who has arrived
+        self._fresh = False  # new paths begin in the slot that is being gathered
         self._states: dict[int, RobotState] = {}
         self._loads: dict[int, ApLoad] = {}
         self._arrivals: dict[int, Arrival] = {}
         self._view: SlotView | None = None
+        self._played: SlotView | None = None
         self.slot = 0
         """The slot whose states are being gathered."""
+        self.unplanned: Bools = np.zeros(len(context.start.robots), np.bool_)
+        """Robots whose last handover was not planned."""
+        self.deviates: Bools = np.zeros(len(context.start.robots), np.bool_)
+        """Robots that another AP serves than their path has."""
 
     def _find(
         self, rule: str, found: object, expected: object, slot: int | None, robot: str = ""
@@ -123,35 +151,100 @@ class StateCheck:
 
     def commit(self) -> SlotView:
         """All of a slot's beginning has been told: check it, and go on to the next slot."""
-        slot, over = self.slot, self.slot > self._context.timetable.last
+        slot, over = self.slot, self.slot > self._context.last
         self._check_presence(slot, over)
-        self._check_arrivals(slot, over)
         if over:
+            self._check_arrivals(slot, set())
             view = self._last_view(slot)
         else:
             view = self._view_of_states(slot)
             self._check_plan(view)
+            self._check_arrivals(slot, set(view.robot[view.arrived].tolist()) - self._home)
             self._check_moves(view)
             self._check_places(view)
             self._check_loads(view)
+            self._commits.check(view, self._states)
+            self._go_home(view)
+            self._played = view
         self._states, self._loads, self._arrivals = {}, {}, {}
         self._view = view
         self.slot += 1
         return view
 
+    @property
+    def last_view(self) -> SlotView | None:
+        """The last slot in which robots had states."""
+        return self._played
+
+    def adopt(self) -> None:
+        """New paths begin in the slot that is being gathered."""
+        self._fresh = True
+
+    def busy(self) -> list[int]:
+        """Robots on the floor in the slot that is being gathered that have not arrived before."""
+        found = []
+        for i in sorted(self.present - self._home):
+            walk = self._context.itinerary.walks[i]
+            expected = self.expected_visit(i)
+            if walk is not None and not (walk.to_goal and expected >= walk.last):
+                found.append(i)
+        return found
+
+    def expected_visit(self, i: int) -> int:
+        """The state robot i is at by what it did before."""
+        itinerary = self._context.itinerary
+        if self._fresh or self._view is None:
+            return 0 if self._fresh else itinerary.catch_up(i, 0, self.slot)
+        place = int(np.searchsorted(self._view.robot, i))
+        if place == len(self._view.robot) or self._view.robot[place] != i:
+            return 0
+        visit = int(self._view.visit[place] + self._view.advances[place])
+        walk = itinerary.walks[i]
+        return (
+            visit if walk is None or visit > walk.last else itinerary.catch_up(i, visit, self.slot)
+        )
+
+    def where(self) -> dict[int, tuple[int, int, int]]:
+        """Vertex, edge (−1: none) and piece of each robot as the slot being gathered begins."""
+        found: dict[int, tuple[int, int, int]] = {}
+        before = self._view
+        if before is None:
+            start = self._context.inputs.problem.start
+            return {i: (int(start[i]), -1, 0) for i in self.present}
+        gone_on = before.piece + before.moves
+        amid = (before.edge >= 0) & (gone_on > 0) & (gone_on < before.slots)
+        done = before.moves & (gone_on >= before.slots)
+        vertex = np.where(done, before.next_vertex, before.vertex)
+        columns = (vertex, np.where(amid, before.edge, -1), np.where(amid, gone_on, 0))
+        for i, v, e, piece in zip(
+            before.robot.tolist(), *(c.tolist() for c in columns), strict=True
+        ):
+            if i in self.present:
+                found[i] = v, e, piece
+        return found
+
+    def _go_home(self, view: SlotView) -> None:
+        """Who has arrived leaves the floor after this slot, or stays for good."""
+        self._fresh = False
+        self._left = {}
+        for k in np.flatnonzero(view.arrived).tolist():
+            i = int(view.robot[k])
+            self._home.add(i)
+            if self._context.start.at_goal == "leave":
+                self.present.discard(i)
+                self._left[i] = int(view.visit[k]), int(view.vertex[k])
+
     def _check_presence(self, slot: int, over: bool) -> None:
         """Who has a state: all on the floor, and once those that have just left it (§1.4)."""
-        context, table = self._context, self._context.timetable
-        present = set() if over else set(table.on_floor(slot).tolist())
-        leaves = context.start.at_goal == "leave"
-        gone = set(np.flatnonzero(table.arrival == slot - 1).tolist()) if leaves and slot else set()
-        context.checks.count(STEP, _STATE, len(present) + len(gone))
-        for i in sorted(present | gone | self._states.keys()):
+        context = self._context
+        present = set() if over else self.present
+        context.checks.count(STEP, _STATE, len(present) + len(self._left))
+        for i in sorted(present | self._left.keys() | self._states.keys()):
             state = self._states.get(i)
             if i in present and (state is None or state.activity == GONE):
                 found = "no state" if state is None else "is gone"
                 self._find(_STATE, found, "a state on the floor", slot, context.name(i))
-            elif i in gone:
+            elif i in self._left:
                 self._check_gone(i, slot, state)
             elif i not in present and state is not None:
                 found = f"a state ({state.activity}) at vertex {state.vertex}"
@@ -159,7 +252,7 @@ class StateCheck:
 
     def _check_gone(self, i: int, slot: int, state: RobotState | None) -> None:
         goal = int(self._context.inputs.problem.goal[i])
-        arrival = int(self._context.timetable.arrival[i])
+        arrival, _ = self._left[i]
         expected = (arrival, goal, -1, goal, GONE, "", "", NO_AP, NO_SNR_DB, 0.0)
         found = None
         if state is not None:
@@ -182,9 +275,10 @@ class StateCheck:
         """The usable states of the robots on the floor, as columns."""
         context, problem = self._context, self._context.inputs.problem
         vertices, edges = problem.n_vertices, problem.n_edges
-        rows: list[tuple[int, int, int, int, bool, int]] = []
+        rows: list[tuple[int, ...]] = []
+        leaves = context.start.at_goal == "leave"
         for i, state in sorted(self._states.items()):
-            if state.activity == GONE:
+            if state.activity == GONE or i not in self.present:
                 continue
             if not (
                 0 <= state.vertex < vertices
@@ -201,8 +295,11 @@ class StateCheck:
                 continue
             ap = context.ap.get(state.ap, -1)
             moves = state.activity == MOVING
-            rows.append((i, state.vertex, state.next_vertex, state.edge, moves, ap))
-        columns: Ints = np.array(rows, np.int64).reshape(-1, 6).T
+            arrived = state.activity == ARRIVED
+            advances = moves or state.activity == WAITING or (arrived and leaves)
+            rows.append((i, state.vertex, state.next_vertex, state.edge, moves, ap,
+                         state.visit, advances, arrived))  # fmt: skip
+        columns: Ints = np.array(rows, np.int64).reshape(-1, 9).T
         robot, vertex, next_vertex, edge = columns[:4]
         moving, ap = columns[4].astype(np.bool_), columns[5]
         slots = np.where(edge >= 0, np.append(problem.edge_slots, 1)[edge], 1)
@@ -216,6 +313,9 @@ class StateCheck:
             piece=piece,
             slots=slots,
             moves=moving,
+            visit=columns[6],
+            advances=columns[7].astype(np.bool_),
+            arrived=columns[8].astype(np.bool_),
             ap=ap,
             load_ap=load_ap,
             start_m=np.empty((0, 2)),
@@ -225,21 +325,30 @@ class StateCheck:
 
     def _last_view(self, slot: int) -> SlotView:
         """The run's last instant: without states, who parks stands where the last slot ended."""
-        park = self._context.start.at_goal == "park"
         before = self._view
-        stays = np.arange(len(before.robot) if before is not None and park else 0)
+        there = sorted(self.present)
+        stays = np.flatnonzero(np.isin(before.robot, there)) if before is not None else np.arange(0)
         none = np.empty(0, np.int64)
-        place = before.next_vertex[stays] if before is not None else none
+        where = self.where()
+        robot: Ints = before.robot[stays] if before is not None else none
+        table = np.array([where[i] for i in robot.tolist()], np.int64).reshape(-1, 3)
+        vertex, edge, piece = table.T
+        problem = self._context.inputs.problem
+        ends = np.append(problem.edge_uv, [[0, 0]], axis=0)[edge].sum(axis=1)
         ap = before.load_ap[stays] if before is not None else none
+        visit = [self.expected_visit(i) for i in robot.tolist()]
         return SlotView(
             slot=slot,
-            robot=before.robot[stays] if before is not None else none,
-            vertex=place,
-            next_vertex=place,
-            edge=np.full(len(stays), -1, np.int64),
-            piece=np.zeros(len(stays), np.int64),
-            slots=np.ones(len(stays), np.int64),
+            robot=robot,
+            vertex=vertex,
+            next_vertex=np.where(edge >= 0, ends - vertex, vertex),
+            edge=edge,
+            piece=piece,
+            slots=np.where(edge >= 0, np.append(problem.edge_slots, 1)[edge], 1),
             moves=np.zeros(len(stays), np.bool_),
+            visit=np.array(visit, np.int64),
+            advances=np.zeros(len(stays), np.bool_),
+            arrived=np.zeros(len(stays), np.bool_),
             ap=ap,
             load_ap=ap,
             start_m=np.empty((0, 2)),
@@ -264,50 +373,68 @@ class StateCheck:
             & (gone_on > 0)
         )
         piece[here[goes_on]] = gone_on[goes_on]
-        load_ap[here[goes_on]] = before.load_ap[there[goes_on]]
+        at, then = here[goes_on], there[goes_on]
+        load_ap[at] = np.where(
+            self.unplanned[robot[at]] | (ap[at] < 0), ap[at], before.load_ap[then]
+        )
         return piece, load_ap
 
     def _check_plan(self, view: SlotView) -> None:
-        """Nothing disturbs a run, so every state is the plan's (page 5: replayed slot for slot)."""
-        context, table = self._context, self._context.timetable
-        known = np.isin(view.robot, table.on_floor(view.slot))
-        robot = view.robot[known]
-        rows = table.rows(robot, view.slot)
-        states = [self._states[i] for i in robot.tolist()]
-        edge = table.edge[rows]
-        uv = np.append(context.inputs.problem.edge_uv, [[-1, -1]], axis=0)[edge]
-        vertex = table.vertex[rows]
-        leads_to = np.where(edge < 0, vertex, uv.sum(axis=1) - vertex)
-        arrived = view.slot >= table.arrival[robot]
-        activity = np.where(arrived, ARRIVED, np.where(edge >= 0, MOVING, WAITING))
+        """Visits are a prefix of the path in force, and every state is the path's (page 5).
 
-        def compare(
-            what: str, found: list[int] | list[str], expected: np.ndarray[tuple[int], np.dtype]
-        ) -> None:
-            values = np.array(found) if found else expected[:0]
-            context.each(_PLAN, view.slot, robot, values != expected, what, values, expected)
+        In a run that nothing disturbs nobody is held, so it is the plan, slot for slot.
+        """
+        context, itinerary = self._context, self._context.itinerary
+        problem = context.inputs.problem
+        robots = [i for i in view.robot.tolist() if itinerary.walks[i] is not None]
+        robot: Ints = np.array(robots, np.int64)
+        known = np.isin(view.robot, robot)
+        states = [self._states[i] for i in robots]
+        visits, rows = [], []
+        for i, state in zip(robots, states, strict=True):
+            walk = itinerary.walks[i]
+            assert walk is not None
+            visit = min(self.expected_visit(i), walk.last)
+            edge, piece = int(walk.edge[visit]), int(walk.piece[visit])
+            held = state.activity == HELD and context.disturbed
+            on_edge = edge if edge >= 0 and (piece > 0 or not held) else -1
+            vertex = int(walk.vertex[visit])
+            leads_to = int(problem.edge_uv[on_edge].sum()) - vertex if on_edge >= 0 else vertex
+            if visit == walk.last and walk.to_goal:
+                activity = ARRIVED
+            elif held or (visit == walk.last and not walk.to_goal):
+                activity = HELD
+            else:
+                activity = MOVING if edge >= 0 else WAITING
+            later = visit + (int(problem.edge_slots[edge]) - piece if piece > 0 else 0)
+            visits.append(visit)
+            rows.append((visit, vertex, on_edge, leads_to, int(walk.ap[visit]),
+                         int(walk.ap[min(later, walk.last)]), activity))  # fmt: skip
+        columns = list(zip(*rows, strict=True)) or [()] * 7
 
-        compare("visit", [s.visit for s in states], np.minimum(view.slot, table.arrival[robot]))
-        compare("vertex", [s.vertex for s in states], vertex)
-        compare("edge", [s.edge for s in states], edge)
-        compare("next vertex", [s.next_vertex for s in states], leads_to)
-        compare("activity", [s.activity for s in states], activity)
-        compare("waits for", [s.waits_for for s in states], np.full(len(robot), ""))
+        def compare(what: str, found: list[int] | list[str], expected: Sequence[object]) -> None:
+            values, wanted = np.array(found), np.array(expected)
+            wrong = values != wanted if len(values) else np.zeros(0, np.bool_)
+            context.each(_PLAN, view.slot, robot, wrong, what, values, wanted)
 
-        served, planned = view.ap[known], table.ap[rows]
+        compare("visit", [s.visit for s in states], columns[0])
+        compare("vertex", [s.vertex for s in states], columns[1])
+        compare("edge", [s.edge for s in states], columns[2])
+        compare("next vertex", [s.next_vertex for s in states], columns[3])
+        compare("activity", [s.activity for s in states], columns[6])
+        if not context.disturbed:
+            compare("waits for", [s.waits_for for s in states], [""] * len(states))
+            compare("cause", [s.cause for s in states], [""] * len(states))
+
         # Amid a crossing of several slots the next AP may serve already; its end is in the plan.
-        ahead = np.where(view.piece[known] > 0, (view.slots - view.piece)[known], 0)
-        later = table.ap[rows + np.minimum(ahead, np.maximum(table.arrival[robot] - view.slot, 0))]
+        # Where the radio is disturbed, `validate_radio` follows who serves.
+        served = view.ap[known]
+        planned, ahead = (np.array(columns[k], np.int64) for k in (4, 5))
+        wrong = (served != planned) & (served != ahead)
+        wrong &= not self._truth.affects_radio
         names = np.array([*context.start.aps, "none"])
-        context.each(
-            _PLAN,
-            view.slot,
-            robot,
-            (served != planned) & (served != later),
-            "AP",
-            names[served],
-            names[planned],
-        )
+        context.each(_PLAN, view.slot, robot, wrong, "AP", names[served], names[planned])
+        self.deviates[robot] = (served != planned) & (served != ahead)
 
     def _check_moves(self, view: SlotView) -> None:
         """Every move is along an edge of G, from where the robot was (§1.1)."""
@@ -378,13 +505,13 @@ class StateCheck:
                     "page5:load", f"load, capacity of {name}: {found}", (load, capacity), view.slot
                 )
             if load > capacity:
-                found_load = f"{name} serves {load} robots"
-                self._find("§1.6", found_load, f"at most {capacity}", view.slot)
+                if not context.disturbed:  # late robots may overload an AP: it is counted
+                    found_load = f"{name} serves {load} robots"
+                    self._find("§1.6", found_load, f"at most {capacity}", view.slot)
                 self._incidents.expect("overload", view.slot, (), name, float(load))
 
-    def _check_arrivals(self, slot: int, over: bool) -> None:
+    def _check_arrivals(self, slot: int, due: set[int]) -> None:
         context = self._context
-        due = set() if over else set(np.flatnonzero(context.timetable.arrival == slot).tolist())
         context.checks.count(STEP, "page5:arrival", len(due))
         for i in sorted(due | self._arrivals.keys()):
             told = self._arrivals.get(i)

@@ -27,9 +27,13 @@ from logs.records import (
     WAITING,
     ApLoad,
     Arrival,
+    Blockages,
+    Disturbance,
     Handover,
     Incident,
+    NewPath,
     Record,
+    Replan,
     RobotState,
     RunEnd,
     RunStart,
@@ -242,6 +246,7 @@ def _records(problem: Problem, plan: Plan, slots: int) -> Iterator[Record]:
             yield record
         yield fold.current(min(slot + 1, slots) * SLOT_S, slot)
     yield from fold.final(slots * SLOT_S, slots)
+    yield fold.waits(slots * SLOT_S)
     yield RunEnd(t_s=slots * SLOT_S, slot=slots, verdict="failed", message="lift 2 has no path")
 
 
@@ -251,6 +256,14 @@ def _slot(problem: Problem, plan: Plan, slot: int, slots: int) -> Iterator[Recor
     if slot == 0:
         text = "the plan has no path for it"
         yield Incident(t_s, 0, "unserved", "lift 2", "", "", 0.0, text)
+        message = "a pallet is in the way"
+        yield Disturbance(t_s, 0, "blockage", "pallet", "", "", True, 0, -1.0, message)
+        yield Replan(t_s, 0, 1, "blockage", "pallet", True, (0,), (), 9, 10, "a way around it")
+        path = next(p for p in plan.paths if p is not None)
+        columns = (path.vertices, path.aps, path.edges)
+        yield NewPath(t_s, 0, 1, path.robot, *(tuple(c.tolist()) for c in columns), 0, True)
+        box = ((7.5,), (0.5,), (1.0,), (0.25,), (1.2,), (0.8,), (2.0,))
+        yield Blockages(t_s, 0, ("pallet",), *box)
     paths = [p for p in plan.paths if p is not None]
     load = [0] * len(APS)
     for path in paths:

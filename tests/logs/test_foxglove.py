@@ -14,23 +14,19 @@ from foxglove_schemas_protobuf.LinePrimitive_pb2 import LinePrimitive
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 
+from logs.colors import HANDOVER_COLOR, OUTAGE_COLOR, ap_color, rgb
 from logs.foxglove import (
     COVERAGE_HEIGHT_M,
-    HANDOVER_COLOR,
     NO_POSITION_DB,
-    OUTAGE_COLOR,
-    ap_color,
     coverage_grid,
-    grid_origin,
     log_line,
     plan_scene,
-    rgb,
     robot_body,
     robots_scene,
     stamp,
     static_scene,
-    timestamp,
 )
+from logs.foxglove_parts import timestamp
 from logs.foxglove_view import TOPICS, View
 from logs.mcap_format import EPOCH_NS, time_ns
 from logs.records import (
@@ -272,6 +268,11 @@ def test_the_graph_has_one_line_per_edge(run):
     np.testing.assert_array_equal(places, run.problem.xy_m)
 
 
+def on_line(place, a, b) -> bool:
+    """Whether a place lies between a and b."""
+    return math.dist(a, place) + math.dist(place, b) == pytest.approx(math.dist(a, b))
+
+
 def test_paths_are_coloured_by_the_serving_ap(run):
     """One entity per path; each line ends where the next AP takes over (§1.6)."""
     found = entities(plan_scene(run.problem, run.plan))
@@ -283,7 +284,13 @@ def test_paths_are_coloured_by_the_serving_ap(run):
     assert drawn[0][-1] == drawn[1][0]
     visited = [tuple(run.problem.xy_m[v]) for v in path.vertices]
     moves = [p for k, p in enumerate(visited) if k == 0 or p != visited[k - 1]]
-    assert drawn[0] + drawn[1][1:] == moves  # waits are not drawn
+    corners = drawn[0] + drawn[1][1:]  # waits and places on a straight line are not drawn
+    assert corners[0] == moves[0]
+    assert corners[-1] == moves[-1]
+    assert len(corners) < len(moves)
+    ways = list(pairwise(corners))
+    assert all(any(on_line(place, *way) for way in ways) for place in moves)
+    assert set(corners) <= set(moves)
     ball = found["path/r1"].spheres[0].pose.position
     change = int(np.flatnonzero(np.diff(path.aps))[0]) + 1
     assert (ball.x, ball.y) == visited[change]
@@ -310,7 +317,7 @@ def test_the_grid_is_laid_from_the_first_position_even_if_it_is_blocked(run):
     floor = dataclasses.replace(
         run.floor, vertex_xy_m=run.floor.vertex_xy_m[7:], vertex_cell=run.floor.vertex_cell[7:]
     )
-    assert grid_origin(floor) == grid_origin(run.floor) == (1.0, 1.0)
+    assert floor.origin_m == run.floor.origin_m == (1.0, 1.0)
 
 
 def test_every_timestamp_is_that_of_the_message(run):

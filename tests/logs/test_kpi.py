@@ -314,6 +314,7 @@ def test_counts() -> None:
         map_error_mean_db=pytest.approx((1.0 - 2.5) / 2),
         map_error_max_db=2.5,
         incidents=1,
+        planned_makespan_slots=5,
     )
     r0, r1, ap0, ap1 = kpis.final(6.0, 1)
     assert (r0.arrived, r0.travel_slots, r0.waiting_slots, r0.held_slots) == (False, 2, 1, 0)

@@ -12,7 +12,15 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from logs.layout import MAX_TABS, ROWS_PER_PANEL, build_layout, dump_layout, message_path
+from logs.foxglove_view import View
+from logs.layout import (
+    MAX_TABS,
+    ROWS_PER_PANEL,
+    build_layout,
+    busiest_robots,
+    dump_layout,
+    message_path,
+)
 from logs.mcap_reader import read
 from logs.mcap_writer import layout_path
 from logs.protobuf import CODECS
@@ -85,7 +93,7 @@ def test_the_layout_lies_in_the_log_and_beside_it(tmp_path):
     path = write(tmp_path / "run.mcap", run)
     assert layout_path(path).name == "run.layout.json"
     assert layout_path(path).read_text(encoding="utf-8") == read(path).layout
-    assert read(path).layout == dump_layout(layout_of(run))
+    assert read(path).layout == dump_layout(layout_of(run))  # three robots: no tab of the busiest
 
 
 def test_the_camera_sees_the_whole_hall():
@@ -160,6 +168,43 @@ def test_a_large_fleet_is_cut_into_tabs():
         assert rows == [f"r{i:03d}" for i in range(shown)]
         assert len(tabs) == shown // ROWS_PER_PANEL
         assert tabs[1]["title"] == "r025 – r049"
+
+
+def test_the_busiest_robots_come_first_in_a_large_fleet():
+    """Those with the most planned handovers have a tab before the others."""
+    run = sample_run(10)
+    assert busiest_robots(run.plan) == ("r1", "r0")  # one handover each, r1 arrives later
+    problem = SimpleNamespace(
+        robot_ids=tuple(f"r{i:03d}" for i in range(60)),
+        ap_ids=("ap0",),
+        ap_capacity=np.array([15], np.int32),
+    )
+    panels = build_layout(run.world, problem, run.radio_map, None, ("r030", "r002"))["configById"]
+    first, second = panels["Tab!associations"]["tabs"][:2]
+    assert first["title"] == "most handovers"
+    assert [p["label"] for p in panels[first["layout"]]["paths"]] == ["r030", "r002"]
+    assert second["title"] == "r000 – r024"
+
+
+def test_many_aps_are_cut_into_tabs():
+    """Each AP in exactly one plot, as many lines in each as one can tell apart."""
+    panels = fleet(sample_run(10), 50, 16)["configById"]
+    tabs = panels["Tab!loads"]["tabs"]
+    assert [tab["title"] for tab in tabs] == ["ap0 – ap7", "ap8 – ap15"]
+    drawn = [
+        p["label"] for tab in tabs for p in panels[tab["layout"]]["paths"] if p["value"] != "15"
+    ]
+    assert drawn == [f"ap{k}" for k in range(16)]
+
+
+def test_what_moves_is_visible_and_what_hides_the_hall_is_not():
+    """Of all scenes and grids some are switched on at first; every one has its settings."""
+    run = sample_run(10)
+    topics = layout_of(run)["configById"]["3D!hall"]["topics"]
+    view = {t for t in View(**run.inputs).topics if t.startswith(("/scene", "/radio", "/aps"))}
+    assert set(topics) == view
+    hidden = {topic for topic, settings in topics.items() if not settings["visible"]}
+    assert hidden == {"/scene/plan", "/radio/best_server", "/aps/ap0/coverage", "/aps/ap1/coverage"}
 
 
 @pytest.mark.parametrize(

@@ -90,7 +90,7 @@ def test_wrong_hash_is_found(tmp_path):
         return replace(record, policy="other") if isinstance(record, RunStart) else record
 
     report = validate(forge(log_of(), tmp_path / "f.mcap", record=change, fresh_hash=False))
-    assert rules(report) == {"container:hash"}
+    assert rules(report, 1) == {"container:hash"}
 
 
 def test_payload_that_does_not_decode_is_found(tmp_path):
