@@ -2,6 +2,7 @@
 
 python -m benchmarks run --family paper_hall --phase auto --seeds 5 -o results.json
 python -m benchmarks run --smoke
+python -m benchmarks radio -o radio.json
 python -m benchmarks compare old.json new.json
 python -m benchmarks plot results.json -o results.png
 """
@@ -21,6 +22,7 @@ from typing import Annotated, Any
 
 import typer
 
+from benchmarks.execution import execution
 from benchmarks.families import FAMILIES
 from benchmarks.phases import PHASES
 
@@ -66,6 +68,34 @@ def run(
     if output is not None:
         output.write_text(json.dumps(result, indent=1) + "\n")
     _print_medians(rows)
+
+
+@app.command()
+def radio(
+    seeds: Annotated[int, typer.Option(min=1)] = 1,
+    smoke: Annotated[bool, typer.Option(help="one tiny hall")] = False,
+    output: Annotated[Path | None, typer.Option("--output", "-o")] = None,
+) -> None:
+    """Time the radio map of a large hall: our rays, those saved, and a plain loop over all."""
+    from benchmarks.radio import measure
+
+    rows: list[Row] = []
+    for row in measure(smoke, seeds):
+        rows.append(row | {"peak_mb": _peak_mb()})
+        typer.echo(_line(rows[-1]), err=True)
+    if output is not None:
+        output.write_text(json.dumps({"machine": _machine(), "rows": rows}, indent=1) + "\n")
+    _print_medians(rows)
+    # By CPU: neither side waits for anything, and other work on the machine does not count.
+    times = {(r["size"], r["seed"], r["phase"]): r["cpu_seconds"] for r in rows}
+    for size in dict.fromkeys(row["size"] for row in rows):
+        for phase in ("radio_map", "radio_map_coverage"):
+            ratio = statistics.median(
+                times[size, seed, "plain_loop"] / times[size, seed, phase]
+                for seed in range(1, seeds + 1)
+            )
+            said = f"the plain loop takes {ratio:.1f} times the CPU time of {phase}"
+            typer.echo(f"radio {size}: {said}")
 
 
 @app.command()
@@ -175,6 +205,8 @@ def _print_medians(rows: list[Row]) -> None:
         ratio = statistics.median(values)
         typer.echo(f"{family:24} {size:18} literal Algorithm 1 takes {ratio:.0f} times as long")
 
+
+app.command()(execution)
 
 if __name__ == "__main__":
     app()

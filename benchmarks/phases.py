@@ -39,7 +39,9 @@ def plan_figures(problem: Problem, plan: Plan, seconds_to: dict[str, float]) -> 
     }
 
 
-def _solving(method: str, time_limit: float | None) -> Callable[[Problem], Figures]:
+def _solving(
+    method: str, time_limit: float | None, gap: float = 0.0
+) -> Callable[[Problem], Figures]:
     def phase(problem: Problem) -> Figures:
         began = time.perf_counter()
         reached: dict[str, float] = {}
@@ -53,7 +55,7 @@ def _solving(method: str, time_limit: float | None) -> Callable[[Problem], Figur
                 if progress.cost <= (1 + share) * progress.bound:
                     reached.setdefault(f"seconds_to_{share:.0%}", now)
 
-        params = SolveParams(method=method, time_limit=time_limit)  # type: ignore[arg-type]
+        params = SolveParams(method=method, time_limit=time_limit, gap=gap)  # type: ignore[arg-type]
         return plan_figures(problem, solve(problem, params, watch), reached)
 
     return phase
@@ -98,6 +100,7 @@ PHASES: dict[str, Callable[[Problem], Figures]] = {
     "yardstick": yardstick,
     "cooperative": _solving("cooperative", None),
     "pgcp": _solving("pgcp", 120.0),
+    "decide": _solving("auto", 10.0, 0.02),
     "auto": _solving("auto", 10.0),
     "auto60": _solving("auto", 60.0),
     "decoupled": _solving("decoupled", 30.0),

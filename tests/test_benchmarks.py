@@ -39,3 +39,12 @@ def test_unknown_names_are_refused() -> None:
     result = CliRunner().invoke(app, ["run", "--family", "paper"])
     assert result.exit_code == 2
     assert "paper_hall" in result.output
+
+
+def test_smoke_run_of_disturbed_runs(tmp_path: Path) -> None:
+    """A tiny case of delays and of a storm: it is executed, and nobody collides."""
+    out = tmp_path / "execution.json"
+    _run("execution", "--smoke", "--what", "delays", "--what", "storm", "-o", str(out))
+    rows = json.loads(out.read_text())["rows"]
+    assert {row["what"] for row in rows} == {"delays", "storm"}
+    assert all(row["collisions"] == 0 for row in rows)

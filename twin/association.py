@@ -157,7 +157,10 @@ def associate(
     slots = np.append(problem.edge_slots, 1)[edge].astype(np.int32)
     # The whole crossing can be chosen from, unless the plan changes the AP more than once in it.
     before = np.concatenate([[0], np.cumsum(changes)])
-    whole = (edge >= 0) & (piece == slots - 1) & (before[rows] == before[rows - piece])
+    # A route may begin amid a crossing: then what is left of it is not a whole one.
+    inside = rows - piece >= order.first_row[order.robot[rows]]
+    first_piece = np.where(inside, rows - piece, rows)
+    whole = (edge >= 0) & (piece == slots - 1) & inside & (before[rows] == before[first_piece])
     window = np.where(whole, slots, 1)
     from_u = vertex == np.append(problem.edge_uv[:, 0], -1)[edge]
     for length in np.unique(window).tolist():

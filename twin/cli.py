@@ -3,11 +3,20 @@
     twin run WORLD.toml        the whole road
     twin plan WORLD.toml       only the plan; also for a problem.json or a MovingAI map
     twin radio WORLD.toml      only the radio map
+    twin suggest WORLD.toml    where to hang access points, with a proof
     twin check WORLD.toml      what is wrong or unwise with it
     twin import MAP            a world from a ROS or MovingAI map
+    twin study STUDY.toml      many runs of many variants, summed up
+    twin compare A B           two studies side by side
     twin schema                what a world file may say, for editors
     twin validate RUN.mcap     check a log, trusting nothing but the file
     twin info RUN.mcap         what a log holds
+    twin report RUN.mcap       a run as one HTML page
+    twin export SOURCE         a world's tracks, a run's orders, for other tools
+    twin render RUN.mcap       a run as a film, as frames, or as a still
+    twin live WORLD.toml       a run in Foxglove while it is made
+    twin replay RUN.mcap       a log in Foxglove as if it happened now
+    twin diff A.mcap B.mcap    what changed from one run to another
 
 Exit codes: 0 done; 1 done, but the answer is no (no plan, invalid log); 2 bad input (a log that is
 cut off, too); 130 stopped by Ctrl-C. Results go to stdout, refusals and progress to stderr.
@@ -16,14 +25,15 @@ cut off, too); 130 stopped by Ctrl-C. Results go to stdout, refusals and progres
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from twin.cli_check import check
-from twin.cli_console import DONE, NO, Meter, guarded, print_json, refuse, stdout
+from twin.cli_compare import compare
+from twin.cli_console import DONE, NO, Meter, guarded, print_json, stderr, stdout
+from twin.cli_diff import diff
 from twin.cli_explain import (
     NO_PRICES,
     Explain,
@@ -34,7 +44,18 @@ from twin.cli_explain import (
     explanation,
     print_explanation,
 )
+from twin.cli_export import export
 from twin.cli_import import import_world
+from twin.cli_limits import (
+    Gap,
+    Iterations,
+    MethodOption,
+    Nodes,
+    TimeLimit,
+    interruptible,
+    solver_params,
+)
+from twin.cli_live import live, replay
 from twin.cli_movingai import (
     Agents,
     Horizon,
@@ -49,24 +70,31 @@ from twin.cli_movingai import (
 from twin.cli_options import (
     AsJson,
     Debug,
+    ExecutionPolicy,
     LogFile,
     Method,
     Overwrite,
+    Replanning,
     Seed,
     Set,
     WorldFile,
     parse_objective,
     parse_overrides,
     require_suffix,
+    run_overrides,
 )
+from twin.cli_radio import radio
+from twin.cli_render import render
+from twin.cli_report import report
 from twin.cli_schema import schema
-from twin.cli_validate import ValidateCommand
+from twin.cli_study import study
+from twin.cli_suggest import suggest
+from twin.cli_validate import ValidateCommand, validate
 from twin.errors import TwinError
 from worlds.formats import PASSABLE
 
 if TYPE_CHECKING:
     from planner.problem import Problem
-    from planner.solve import SolveParams
     from twin.instance import Stopwatch
 
 app = typer.Typer(
@@ -77,14 +105,6 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
-MethodOption = Annotated[
-    Method,
-    typer.Option(
-        help="auto: as good as it gets, with a proof; pgcp: the paper's algorithm; "
-        "cooperative: cooperative A* alone, fast and without a proof; "
-        "decoupled: shortest motions first, then the best APs for them."
-    ),
-]
 Objective = Annotated[
     str | None,
     typer.Option(
@@ -92,10 +112,6 @@ Objective = Annotated[
         help="hp: fewest handovers first; tp: shortest time first; snr: the best AP everywhere; "
         "or the costs of a slot and a handover.",
     ),
-]
-Iterations = Annotated[
-    int | None,
-    typer.Option(min=1, help="Stop improving after so many iterations (same result every time)."),
 ]
 
 
@@ -132,6 +148,11 @@ def run(
     method: MethodOption = Method.auto,
     objective: Objective = None,
     iterations: Iterations = None,
+    time_limit: TimeLimit = None,
+    gap: Gap = None,
+    nodes: Nodes = None,
+    policy: ExecutionPolicy = None,
+    replan: Replanning = None,
     settings: Set = None,
     overwrite: Overwrite = False,
     as_json: AsJson = False,
@@ -146,12 +167,19 @@ def run(
 
         require_suffix(world, (".toml",), "a world file")
         folder = output or Path("runs") / world.stem
-        overrides = _overrides(settings, objective)
+        overrides = _overrides(settings, objective) | run_overrides(policy, replan)
         check_run_folder(RunFiles(folder), overwrite=overwrite)
         with Meter() as meter:
             watch = _stopwatch(meter)
             instance = open_instance(world, overrides=overrides, seed=seed, watch=watch)
-            params = _params(method, iterations, instance.world.plan.seed)
+            params = solver_params(
+                method,
+                instance.world.plan.seed,
+                iterations=iterations,
+                time_limit=time_limit,
+                gap=gap,
+                nodes=nodes,
+            )
             _announce_compilation(meter)
             road = travel(instance, folder, params=params, overwrite=overwrite, watch=watch)
         if as_json:
@@ -177,6 +205,9 @@ def plan(
     method: MethodOption = Method.auto,
     objective: Objective = None,
     iterations: Iterations = None,
+    time_limit: TimeLimit = None,
+    gap: Gap = None,
+    nodes: Nodes = None,
     settings: Set = None,
     scen: Scenario = None,
     agents: Agents = None,
@@ -212,11 +243,22 @@ def plan(
             else:
                 problem, plan_seed, hall = _problem(source, settings, objective, seed, watch)
             _announce_compilation(meter)
-            answer = make_plan(problem, _params(method, iterations, plan_seed), watch=watch)
+            params = solver_params(
+                method,
+                plan_seed,
+                iterations=iterations,
+                time_limit=time_limit,
+                gap=gap,
+                nodes=nodes,
+            )
+            with interruptible() as interrupted:
+                answer = make_plan(problem, params, watch=watch, stop=interrupted)
             picture = draw_prices(prices, problem, answer, hall, watch)
             why = explanation(problem, answer, plan_seed, watch) if explain else None
         if output is not None:
             write_text(output, dump_plan(answer))
+        if interrupted():
+            stderr().print("interrupted: this is the best answer so far", soft_wrap=True)
         if as_json:
             values = {"problem": problem_values(problem), "plan": plan_values(answer)}
             if is_map(source):
@@ -240,88 +282,6 @@ def plan(
 
 
 @app.command()
-def radio(
-    world: WorldFile,
-    output: Annotated[
-        Path | None,
-        typer.Option("-o", "--output", metavar="radio.png", help="Draw the map, .png or .svg."),
-    ] = None,
-    seed: Seed = None,
-    settings: Set = None,
-    overwrite: Overwrite = False,
-    as_json: AsJson = False,
-    debug: Debug = False,
-) -> None:
-    """Cast the rays of a world: which AP reaches where, and where are the holes."""
-    with guarded(debug):
-        from twin.cli_radio import print_radio, radio_values
-        from twin.instance import open_radio
-        from twin.outputs import check_file, staged
-
-        require_suffix(world, (".toml",), "a world file")
-        if output is not None:
-            check_file(output, (".png", ".svg"), overwrite=overwrite)
-        overrides = parse_overrides(settings)
-        with Meter() as meter:
-            watch = _stopwatch(meter)
-            read, floor, radio_map = open_radio(world, overrides=overrides, seed=seed, watch=watch)
-            if output is not None:
-                with watch.phase("picture"):
-                    from worlds.figures import radio_figure, save
-
-                    with staged(output.parent) as stage:
-                        save(radio_figure(read, floor, radio_map), stage / output.name)
-        if as_json:
-            values = radio_values(read, floor, radio_map)
-            print_json(values | {"file": str(output) if output else None})
-        else:
-            print_radio(stdout(), read, floor, radio_map, output)
-
-
-@app.command(cls=ValidateCommand)
-def validate(
-    log: LogFile,
-    json_file: Annotated[
-        Path | None,
-        typer.Option(
-            "--json", metavar="[FILE]", help="Write the findings as JSON, without FILE to stdout."
-        ),
-    ] = None,
-    junit: Annotated[
-        Path | None,
-        typer.Option("--junit", metavar="FILE", help="Write them as JUnit XML, for CI."),
-    ] = None,
-    overwrite: Overwrite = False,
-    debug: Debug = False,
-) -> None:
-    """Check a log: the file itself, the plan, the run slot by slot, and every key figure."""
-    with guarded(debug):
-        from logs.validate import validate as check
-        from twin.cli_tables import print_report
-        from twin.outputs import check_file, write_text
-
-        to_stdout = json_file == Path("-")
-        targets = [(junit, ".xml"), (None if to_stdout else json_file, ".json")]
-        for path, suffix in targets:
-            if path is not None:
-                check_file(path, (suffix,), overwrite=overwrite)
-        with Meter() as meter:
-            meter.phase("validation")
-            report = check(log)
-        if junit is not None:
-            write_text(junit, report.to_junit_xml())
-        if json_file is not None and not to_stdout:
-            write_text(json_file, json.dumps(report.to_dict(), indent=2) + "\n")
-        if to_stdout:
-            print_json(report.to_dict())
-        else:
-            print_report(stdout(), report)
-        if any(finding.rule == "container:structure" for finding in report.findings):
-            refuse(f"{log}: is cut off or damaged; run the world again")
-        raise typer.Exit(DONE if report.valid else NO)
-
-
-@app.command()
 def info(log: LogFile, as_json: AsJson = False, debug: Debug = False) -> None:
     """Say what a log holds: the run, its plan, its key figures, topics and attachments."""
     with guarded(debug):
@@ -337,9 +297,20 @@ def info(log: LogFile, as_json: AsJson = False, debug: Debug = False) -> None:
             print_info(stdout(), found)
 
 
+app.command(cls=ValidateCommand)(validate)
+app.command()(diff)
+app.command()(report)
+app.command()(render)
+app.command()(live)
+app.command()(replay)
+app.command()(export)
+app.command()(radio)
+app.command()(suggest)
 app.command()(check)
 app.command("import")(import_world)
 app.command()(schema)
+app.command()(study)
+app.command()(compare)
 
 
 def _overrides(settings: list[str] | None, objective: str | None) -> dict[str, object]:
@@ -374,14 +345,6 @@ def _problem(
             data["objective"] = parse_objective(objective)
             problem = parse_problem(json.dumps(data), source.name)
     return problem, seed or 0, None
-
-
-def _params(method: Method, iterations: int | None, seed: int) -> SolveParams:
-    """What the options ask of the planner."""
-    from planner.solve import SolveParams
-
-    params = SolveParams(method=method.value, seed=seed)
-    return params if iterations is None else replace(params, iterations=iterations)
 
 
 def _stopwatch(meter: Meter) -> Stopwatch:

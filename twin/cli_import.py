@@ -20,8 +20,13 @@ MAPS = {
     ".yaml": "ROS map_server",
     ".yml": "ROS map_server",
     ".map": "MovingAI",
+    ".json": "VDMA LIF",
+    ".lif": "VDMA LIF",
 }
 """What a file's ending says about its format."""
+
+
+OBSTACLE_HEIGHT_M = 2.0
 
 
 class Unknown(StrEnum):
@@ -34,7 +39,10 @@ class Unknown(StrEnum):
 def import_world(
     source: Annotated[
         Path,
-        typer.Argument(metavar="FILE", help="A ROS map (.yaml) or a MovingAI map (.map)."),
+        typer.Argument(
+            metavar="FILE",
+            help="A ROS map (.yaml), a MovingAI map (.map) or a VDMA LIF layout (.json, .lif).",
+        ),
     ],
     output: Annotated[
         Path | None,
@@ -73,9 +81,23 @@ def import_world(
     image: Annotated[
         Path | None, typer.Option(metavar="FILE", help="ROS: the image, if it lies elsewhere.")
     ] = None,
+    layout: Annotated[
+        str | None, typer.Option(metavar="ID", help="LIF: which layout, if there are several.")
+    ] = None,
+    vehicle: Annotated[
+        str | None, typer.Option(metavar="ID", help="LIF: which type, if there are several.")
+    ] = None,
+    slot: Annotated[
+        float | None,
+        typer.Option(metavar="S", help="LIF: length of a slot; else what suits the lanes."),
+    ] = None,
+    speed: Annotated[
+        float | None,
+        typer.Option(metavar="M/S", help="LIF: of the robots where lanes allow it; else 1.5."),
+    ] = None,
     obstacle_height: Annotated[
         float, typer.Option(metavar="M", help="Of all obstacles; the map does not say.")
-    ] = 2.0,
+    ] = OBSTACLE_HEIGHT_M,
     ap_height: Annotated[
         float, typer.Option(metavar="M", help="Of the proposed access points.")
     ] = 5.0,
@@ -104,7 +126,8 @@ def import_world(
         from worlds.map_import import ImportParams, import_grid
 
         require_suffix(source, tuple(MAPS), "a map")
-        target = output or Path(f"{source.stem}.toml")
+        stem = source.stem.removesuffix(".lif")
+        target = output or Path(f"{stem}.toml")
         check_file(target, (".toml",), overwrite=overwrite)
         params = ImportParams(
             pitch_m=pitch,
@@ -116,13 +139,37 @@ def import_world(
             robots=robots,
             seed=seed,
             horizon=horizon,
-            name=name or source.stem[:64],
+            name=name or stem[:64],
         )
+        kind = MAPS[source.suffix.lower()]
+        _refuse_options_of_others(
+            kind,
+            {
+                "--scen": ("MovingAI", scenario is not None),
+                "--passable": ("MovingAI", passable != PASSABLE),
+                "--unknown": ("ROS map_server", unknown is not Unknown.blocked),
+                "--image": ("ROS map_server", image is not None),
+                "--layout": ("VDMA LIF", layout is not None),
+                "--vehicle": ("VDMA LIF", vehicle is not None),
+                "--slot": ("VDMA LIF", slot is not None),
+                "--speed": ("VDMA LIF", speed is not None),
+                "--pitch": ("a grid", pitch is not None),
+                "--obstacle-height": ("a grid", obstacle_height != OBSTACLE_HEIGHT_M),
+            },
+        )
+        hints: list[str] = []
         with Meter() as meter:
             meter.phase("reading the map")
-            grid, hints = _grid(source, params, scenario, passable, unknown, image)
-            meter.phase("placing access points")
-            imported = import_grid(grid, params)
+            if kind == "VDMA LIF":
+                from worlds.import_lif import LifParams, import_lif
+
+                imported = import_lif(
+                    source, target, params, LifParams(layout, vehicle, slot, speed)
+                )
+            else:
+                grid, hints = _grid(source, params, scenario, passable, unknown, image)
+                meter.phase("placing access points")
+                imported = import_grid(grid, params)
         write_text(target, imported.text)
         values = _values(source, target, imported, [*hints, *imported.hints])
         if as_json:
@@ -140,6 +187,18 @@ def _model(name: str | None):  # type: ignore[no-untyped-def]
     return name
 
 
+def _refuse_options_of_others(kind: str, options: dict[str, tuple[str, bool]]) -> None:
+    """Refuse options that are given and mean nothing for this kind of map."""
+    grids = {"MovingAI", "ROS map_server"}
+    wrong = [
+        option
+        for option, (of, given) in options.items()
+        if given and of != kind and not (of == "a grid" and kind in grids)
+    ]
+    if wrong:
+        raise TwinError(f"{', '.join(wrong)}: not for a {kind} map; leave it out")
+
+
 def _grid(
     source: Path,
     params: ImportParams,
@@ -148,23 +207,12 @@ def _grid(
     unknown: Unknown,
     image: Path | None,
 ) -> tuple[BlockedGrid, list[str]]:
-    """The map's blocked cells, and hints; options of the other format are refused."""
+    """The blocked cells of a map that is a grid, and hints."""
     from worlds.formats.movingai import read_map, read_scenario
     from worlds.formats.ros_map import read_ros_map
     from worlds.import_maps import movingai_grid, ros_grid
 
-    kind = MAPS[source.suffix.lower()]
-    ours = kind == "MovingAI"
-    strangers = {
-        "--scen": not ours and scenario is not None,
-        "--passable": not ours and passable != PASSABLE,
-        "--unknown": ours and unknown is not Unknown.blocked,
-        "--image": ours and image is not None,
-    }
-    wrong = [option for option, given in strangers.items() if given]
-    if wrong:
-        raise TwinError(f"{', '.join(wrong)}: not for a {kind} map; leave it out")
-    if ours:
+    if MAPS[source.suffix.lower()] == "MovingAI":
         found = read_map(source, passable=passable)
         return movingai_grid(found, params, None if scenario is None else read_scenario(scenario))
     free = unknown is Unknown.free
@@ -175,15 +223,23 @@ def _values(
     source: Path, target: Path, imported: ImportedWorld, hints: list[str]
 ) -> dict[str, object]:
     world, floor = imported.world, imported.floor
-    body = world.hall.body
-    return {
+    body, graph = world.hall.body, world.hall.graph
+    lanes = {}
+    if graph is not None:
+        lanes = {
+            "lanes": len(floor.edge_uv),
+            "one_way": int(floor.edge_oneway.sum()),
+            "stations": len(world.station),
+            "slot_s": floor.slot_s,
+        }
+    return lanes | {
         "source": str(source),
         "file": str(target),
         "world": world.name,
         "size_m": list(world.hall.size_m),
         "pitch_m": world.hall.grid_pitch_m,
         "body_m": [body.length_m, body.width_m],
-        "positions": floor.columns * floor.rows,
+        "positions": floor.columns * floor.rows if graph is None else len(graph.node),
         "free_positions": len(floor.vertex_xy_m),
         "obstacles": len(world.obstacle),
         "aps": [{"id": ap.id, "position_m": list(ap.position_m)} for ap in world.ap],
@@ -204,21 +260,35 @@ def _print(values: dict[str, object]) -> None:
     facts = Facts(f"{of('world')}: imported")
     width, depth = of("size_m")
     length, across = of("body_m")
-    facts.section(
-        [
-            ("map", of("source")),
-            ("hall", f"{width:g} m x {depth:g} m, pitch {of('pitch_m'):g} m"),
-            (
-                "positions",
-                f"{number(of('positions'))}, {number(of('free_positions'))} of them free",
-            ),
-            ("obstacles", f"{number(of('obstacles'))} boxes, exactly the blocked cells"),
-        ]
-    )
+    size = f"{width:g} m x {depth:g} m"
+    if "lanes" in values:
+        facts.section(
+            [
+                ("layout", of("source")),
+                ("hall", f"{size}, the extent of the nodes and a margin"),
+                ("nodes", number(of("positions"))),
+                ("lanes", f"{number(of('lanes'))}, {number(of('one_way'))} of them one-way"),
+                ("stations", number(of("stations"))),
+                ("slot", f"{of('slot_s'):g} s; a typical lane is {of('pitch_m'):g} m long"),
+            ]
+        )
+    else:
+        facts.section(
+            [
+                ("map", of("source")),
+                ("hall", f"{size}, pitch {of('pitch_m'):g} m"),
+                (
+                    "positions",
+                    f"{number(of('positions'))}, {number(of('free_positions'))} of them free",
+                ),
+                ("obstacles", f"{number(of('obstacles'))} boxes, exactly the blocked cells"),
+            ]
+        )
     covered = per_cent(of("covered_share"))
+    ground = "nodes" if "lanes" in values else "floor"
     facts.section(
         [
-            ("access points", f"{len(of('aps'))} proposed, covering {covered} of the floor"),
+            ("access points", f"{len(of('aps'))} proposed, covering {covered} of the {ground}"),
             ("robots", f"{of('robots')} of {length:g} m x {across:g} m"),
             ("horizon", f"{of('horizon')} slots, the longest errand takes {of('longest_errand')}"),
         ]

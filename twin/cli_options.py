@@ -43,9 +43,43 @@ class Method(StrEnum):
     """How to plan; see `planner.solve.SolveParams`."""
 
     auto = "auto"
+    exact = "exact"
     pgcp = "pgcp"
     cooperative = "cooperative"
     decoupled = "decoupled"
+
+
+class PolicyName(StrEnum):
+    """Who may advance; see `run.policy` of the world."""
+
+    group = "group"
+    strict = "strict"
+
+
+ExecutionPolicy = Annotated[
+    PolicyName | None,
+    typer.Option(
+        help="group: all that can advance together do; strict: only into places that are empty "
+        "already (refuses plans in which robots rotate). The world's run.policy if left out."
+    ),
+]
+Replanning = Annotated[
+    bool | None,
+    typer.Option(
+        "--replan/--no-replan",
+        help="Plan anew when the plan cannot be kept. The world's run.replan if left out.",
+    ),
+]
+
+
+def run_overrides(policy: PolicyName | None, replan: bool | None) -> dict[str, object]:
+    """What the options of a run set in the world."""
+    chosen: dict[str, object] = {}
+    if policy is not None:
+        chosen["run.policy"] = policy.value
+    if replan is not None:
+        chosen["run.replan"] = replan
+    return chosen
 
 
 def parse_overrides(settings: list[str] | None) -> dict[str, object]:

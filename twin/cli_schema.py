@@ -20,7 +20,7 @@ def schema(
             "--output",
             metavar="world.schema.json",
             help="Else stdout. A name in .md gives the page docs/world-format.md instead, "
-            "check-codes.md the page of findings.",
+            "check-codes.md the page of findings, log-format.md that of logs.",
         ),
     ] = None,
     overwrite: Overwrite = False,
@@ -29,15 +29,21 @@ def schema(
     """Give the JSON schema of world files, with which editors complete keys and mark mistakes."""
     with guarded(debug):
         from twin.outputs import check_file, write_text
-        from worlds.check_codes import codes_page
-        from worlds.schema import format_page, schema_text
+        from worlds.schema import schema_text
 
         if output is None:
             sys.stdout.write(schema_text())
             return
         check_file(output, (".json", ".md"), overwrite=overwrite)
-        if output.suffix.lower() == ".json":
-            text = schema_text()
-        else:
-            text = codes_page() if output.stem == "check-codes" else format_page()
-        write_text(output, text)
+        as_json = output.suffix.lower() == ".json"
+        write_text(output, schema_text() if as_json else _page(output.stem))
+
+
+def _page(name: str) -> str:
+    """A page of the documentation that is told from the code."""
+    from logs.format_page import format_page as log_page
+    from worlds.check_codes import codes_page
+    from worlds.schema import format_page
+
+    pages = {"check-codes": codes_page, "log-format": log_page}
+    return pages.get(name, format_page)()

@@ -13,10 +13,12 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from logs.records import CAUSES
 from twin.pipeline import count, describe_plan
 
 if TYPE_CHECKING:
     from logs.findings import Report
+    from logs.records import Kpi
     from planner.plan import Plan
     from planner.problem import Problem
     from twin.instance import Instance
@@ -28,6 +30,7 @@ Row = tuple[str, str]
 FINDINGS_SHOWN = 20
 FINDINGS_OF_A_RUN = 5
 ROBOTS_NAMED = 12
+REPLANS_NAMED = 4
 GOOD, BAD, PLAIN = "bold green", "bold red", ""
 
 
@@ -106,6 +109,7 @@ def execution_values(execution: Execution) -> Json:
         "message": execution.end.message,
         "kpi": asdict(execution.kpi),
         "incidents": execution.incidents,
+        "replans": [asdict(replan) for replan in execution.replans],
         "robots": [asdict(robot) for robot in execution.robots],
         "aps": [asdict(ap) for ap in execution.aps],
     }
@@ -227,14 +231,15 @@ def execution_rows(execution: Execution, slot_s: float) -> list[tuple[str, str |
         (
             "arrived",
             f"{kpi.arrived} of {kpi.robots} robots, the last in slot {kpi.makespan_slots} "
-            f"(after {number(kpi.makespan_slots * slot_s, 's')})",
+            f"({kpi.planned_makespan_slots} planned; after "
+            f"{number(kpi.makespan_slots * slot_s, 's')})",
         ),
         (
             "travel",
             f"{kpi.travel_slots} robot-slots ({kpi.planned_travel_slots} planned), "
-            f"{kpi.held_slots} held against the plan",
+            f"{kpi.held_slots} held against the plan{_held_by(kpi)}",
         ),
-        ("handovers", f"{kpi.handovers} ({kpi.planned_handovers} planned)"),
+        ("handovers", f"{kpi.handovers} ({kpi.planned_handovers} planned){_unplanned(kpi)}"),
         (
             "connection",
             f"{per_cent(share, 2)} of {number(seconds, 'robot-seconds')}; handovers "
@@ -252,12 +257,36 @@ def execution_rows(execution: Execution, slot_s: float) -> list[tuple[str, str |
             f"capacity), {kpi.overload_robot_slots} robot-slots over capacity",
         ),
     ]
+    if kpi.delays or kpi.replans:
+        adopted = sum(replan.adopted for replan in execution.replans)
+        said = f"{count(kpi.delays, 'delay')}, {count(kpi.replans, 'new plan')} asked for"
+        causes = ", ".join(f"slot {r.slot}: {r.cause} {r.name}".rstrip() for r in
+                           execution.replans[:REPLANS_NAMED])  # fmt: skip
+        said += f", {adopted} adopted ({causes}{', …' if kpi.replans > REPLANS_NAMED else ''})" * (
+            kpi.replans > 0
+        )
+        rows.append(("disturbed", said))
     if kpi.min_clearance_m > -1000:
         rows.append(("clearance", f"least {kpi.min_clearance_m:.2f} m between two robots"))
     if execution.incidents:
         said = ", ".join(f"{count} × {kind}" for kind, count in execution.incidents.items())
         rows.append(("incidents", verdict(said, False)))
     return rows
+
+
+def _held_by(kpi: Kpi) -> str:
+    """Why robots were held, in brackets."""
+    held = {cause: getattr(kpi, f"held_by_{cause.replace('-', '_')}") for cause in CAUSES}
+    said = ", ".join(f"{cause} {slots}" for cause, slots in held.items() if slots)
+    return f" ({said})" if said else ""
+
+
+def _unplanned(kpi: Kpi) -> str:
+    """What handovers were not the plan's."""
+    if not kpi.unplanned_handovers:
+        return ""
+    back = f", {kpi.ping_pongs} of them back at once" if kpi.ping_pongs else ""
+    return f", {kpi.unplanned_handovers} of them not in the plan{back}"
 
 
 def report_rows(report: Report, most: int = FINDINGS_SHOWN) -> list[tuple[str, str | Text]]:
@@ -341,6 +370,4 @@ def print_report(console: Console, report: Report) -> None:
 
 def _steps(report: Report) -> list[dict[str, object]]:
     """Number, name and count of facts of each step."""
-    from logs.findings import STEPS
-
-    return [{"step": s, "name": n, "checked": report.checked[s]} for s, n in STEPS.items()]
+    return [{"step": s, "name": n, "checked": report.checked[s]} for s, n in report.steps.items()]

@@ -149,8 +149,16 @@ def _cast(world: World, floor: Floor, watch: Stopwatch) -> RadioMap:
         return build_radio_map(world, floor, on_progress=watch.share("radio map"))
 
 
-def survey(world: World, floor: Floor, *, watch: Stopwatch | None = None) -> Instance:
+def survey(
+    world: World,
+    floor: Floor,
+    *,
+    radio_map: RadioMap | None = None,
+    watch: Stopwatch | None = None,
+) -> Instance:
     """Cast the rays of a world, put its robots where there is coverage, and pose the problem.
+
+    A `radio_map` that was made for the same hall and radio before spares the rays.
 
     Raises:
         WorldError: an AP inside an obstacle, a hall without coverage, a robot without it.
@@ -160,7 +168,7 @@ def survey(world: World, floor: Floor, *, watch: Stopwatch | None = None) -> Ins
     from worlds.errands import with_covered_robots
 
     watch = watch or Stopwatch()
-    radio_map = _cast(world, floor, watch)
+    radio_map = radio_map or _cast(world, floor, watch)
     with watch.phase("radio map"):
         _require_coverage(radio_map)
         # Random errands lie in G, so they are drawn anew now that coverage is known (§1.8).

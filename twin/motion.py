@@ -84,17 +84,32 @@ class Roads:
     """The ways a plan uses: headings, and which of them lead through an obstacle."""
 
     def __init__(
-        self, problem: Problem, order: VisitOrder, boxes: Boxes, body: Body, height_m: float
+        self,
+        problem: Problem,
+        order: VisitOrder,
+        boxes: Boxes,
+        body: Body,
+        height_m: float,
+        heading_rad: Floats | None = None,
     ) -> None:
-        self._order = order
+        """Lay the ways of a plan out.
+
+        Args:
+            problem, order: whose.
+            boxes: the obstacles.
+            body: of every robot.
+            height_m: of its highest point [m].
+            heading_rad: (N,) headings the robots have before it; in a run's first plan they head
+                along their first move from the outset.
+        """
+        self._order, self._before = order, heading_rad
         self._xy = problem.xy_m
         # Edge −1, that of robots at vertices, is the last of these.
         uv = np.vstack([problem.edge_uv, [[-1, -1]]])
         self._slots = np.append(problem.edge_slots, 1)
         self._u, self._v = self._xy[uv[:, 0]], self._xy[uv[:, 1]]
         self._from_u = (order.edge >= 0) & (order.vertex == uv[order.edge, 0])
-        self._heading_row, heading = _headings(order, self._xy)
-        self.heading_rad = heading
+        self.heading_rad = _headings(order, self._xy, heading_rad)
         self._hit = self._hits(boxes, body, height_m)
 
     def motion(self, at: Ints, advance: Bools) -> SlotMotion:
@@ -139,8 +154,11 @@ class Roads:
     def _heading_of(self, row: Ints, moves: Bools, at: Ints) -> Floats:
         """A robot held before an edge has not turned yet."""
         order = self._order
-        held = (order.edge[row] >= 0) & ~moves & (order.piece[row] == 0) & (at > 0)
-        return np.asarray(self.heading_rad[row - held], np.float64)
+        held = (order.edge[row] >= 0) & ~moves & (order.piece[row] == 0)
+        heading = self.heading_rad[row - (held & (at > 0))]
+        if self._before is not None:
+            heading = np.where(held & (at == 0), self._before[order.robot[row]], heading)
+        return np.asarray(heading, np.float64)
 
     def _hits(self, boxes: Boxes, body: Body, height_m: float) -> Ints:
         """(S,) the box touched by the body in each row's transition, −1 if none.
@@ -159,7 +177,7 @@ class Roads:
             [
                 crosses,
                 np.where(crosses, order.edge, order.vertex),
-                np.where(crosses, piece, np.append(order.edge, -1)[self._heading_row]),
+                np.where(crosses, piece, self.heading_rad),
             ]
         )
         _, first, kind = np.unique(kinds, axis=0, return_index=True, return_inverse=True)
@@ -184,24 +202,30 @@ def _half_m(body: Body) -> Floats:
     return np.array([body.length_m / 2, body.width_m / 2])
 
 
-def _headings(order: VisitOrder, xy_m: Floats) -> tuple[Ints, Floats]:
-    """The row whose crossing gives each row its heading (−1: none), and the headings [rad].
+def _headings(order: VisitOrder, xy_m: Floats, before: Floats | None) -> Floats:
+    """(S,) heading of each row [rad].
 
     A robot heads along its edge and keeps that while it waits. Before its first move it heads as
-    in that move; one that never moves heads along x (0).
+    it did `before` (N,), or, where that is None, as in that move; one that never moves heads along
+    x (0) then.
     """
     rows = len(order.robot)
+    if not rows:
+        return np.zeros(0)
     index = np.arange(rows)
     crosses = order.edge >= 0
-    last = np.maximum.accumulate(np.where(crosses, index, -1)) if rows else index
-    own = (last >= 0) & (order.robot[last] == order.robot) if rows else crosses
+    last = np.maximum.accumulate(np.where(crosses, index, -1))
+    own = (last >= 0) & (order.robot[last] == order.robot)
     moves = np.flatnonzero(crosses)
     upcoming = np.append(moves, -1)[np.searchsorted(moves, index)]
-    own_next = (upcoming >= 0) & (order.robot[upcoming] == order.robot) if rows else crosses
-    source = np.where(own, last, np.where(own_next, upcoming, -1)).astype(np.int32)
+    own_next = (upcoming >= 0) & (order.robot[upcoming] == order.robot)
+    source = np.where(own, last, np.where(own_next, upcoming, -1))
     way = xy_m[order.next_vertex] - xy_m[order.vertex]
     heading = np.arctan2(way[:, 1], way[:, 0])
-    return source, np.where(source >= 0, heading[source], 0.0) if rows else np.zeros(0)
+    found = np.where(source >= 0, heading[source], 0.0)
+    if before is not None:
+        found = np.where(own, found, before[order.robot])
+    return np.asarray(found, np.float64)
 
 
 # --- clearance --------------------------------------------------------------------------------

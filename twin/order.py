@@ -44,8 +44,17 @@ stays that the plan leaves in slots p ≤ m (crossings: p < m). A robot j that h
 some state ≤ p ≤ m; being unfinished, it is at ≥ m: so p = m, and j is in S and leaves now. Hence S
 is self-supporting and within C, provided that all of S are ready. So in every slot in which those
 the plan has earliest are ready, each of them advances: nobody waits in a circle, and when the last
-delay is over the rest takes at most as many slots as there are transitions left. (An
-action-dependency graph without the clause "or advance in the same slot" deadlocks on rotations.)
+delay is over the rest takes at most as many slots as there are transitions left.
+
+**Strict order** is the action-dependency graph (W. Hönig et al., Persistent and robust execution of
+MAPF schedules in warehouses, RA-L 2019, doi:10.1109/LRA.2019.2894217), without the clause "or stand
+there now and advance in the same slot": for fleets without a common clock. Gates lead to
+transitions planned no later than their own, so robots can wait in a circle only where all of it is
+planned in one slot: a *rotation*. Plans with one are refused (`rotation`); all others are free of
+deadlocks by the same argument as above.
+
+**Routes.** A new plan begins in some slot, where robots stand, or amid a crossing (`Route.piece`).
+A route that does not lead to the goal (`to_goal` is False) ends in a stay that is never left.
 """
 
 from __future__ import annotations
@@ -56,7 +65,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.plan import Plan
+from planner.plan import Path, Plan
 from planner.problem import Problem
 from twin.errors import TwinError
 
@@ -64,6 +73,29 @@ Bools = NDArray[np.bool_]
 Ints = NDArray[np.int32]
 
 _NEVER = np.iinfo(np.int32).max
+
+
+@dataclass(frozen=True, eq=False)
+class Route:
+    """What a robot is to do from some slot on; arrays as in `planner.plan.Path`.
+
+    Attributes:
+        vertices, aps: (τ+1,) int32.
+        edges: (τ,) int32, −1 while waiting.
+        piece: slots of its first crossing that are done already, 0 if it begins at a vertex.
+        to_goal: it ends at the robot's goal; else the robot stands at its end for good.
+    """
+
+    vertices: Ints
+    aps: Ints
+    edges: Ints
+    piece: int = 0
+    to_goal: bool = True
+
+    @classmethod
+    def of(cls, path: Path | None) -> Route | None:
+        """A path of a plan as a route."""
+        return None if path is None else cls(path.vertices, path.aps, path.edges)
 
 
 @dataclass(frozen=True)
@@ -85,6 +117,8 @@ class VisitOrder:
         left_after: (S,) int32, that robot has left once it is at a later state than this.
         strict: (S,) bool, the gate is shut in the slot in which it leaves.
         jump: (S,) int32, last state reached by leaving out waits that change nothing.
+        begun: (S,) int32, crossings of its path begun before this state.
+        to_goal: (N,) bool, the path leads to the goal (True for robots without a path).
     """
 
     park: bool
@@ -100,6 +134,8 @@ class VisitOrder:
     left_after: Ints
     strict: Bools
     jump: Ints
+    begun: Ints
+    to_goal: Bools
 
     def row(self, at: Ints) -> Ints:
         """(N,) row of each robot's state; of some row for robots that are not on the floor."""
@@ -111,7 +147,12 @@ class VisitOrder:
 
     def done(self, at: Ints) -> Bools:
         """(N,) robots with nothing left to do: gone, or parked."""
-        return np.asarray(at >= self.arrival) if self.park else self.gone(at)
+        done = at >= self.arrival if self.park else self.gone(at)
+        return np.asarray(done & self.to_goal)
+
+    def stuck(self, at: Ints) -> Bools:
+        """(N,) robots at the end of a path that does not lead to their goal."""
+        return np.asarray(~self.to_goal & (at >= self.arrival))
 
 
 @dataclass(frozen=True)
@@ -180,6 +221,59 @@ def group_commit(order: VisitOrder, at: Ints, ready: Bools) -> Commit:
     return Commit(advance, np.where(ready & ~advance, before, -1).astype(np.int32))
 
 
+class StrictOrder:
+    """A plain action-dependency graph: nobody moves to where another one still stands."""
+
+    name = "strict"
+
+    def decide(self, order: VisitOrder, at: Ints, ready: Bools) -> Commit:
+        """Whose gates are open already."""
+        before = np.where(ready, order.before[order.row(at)], -1)
+        shut = (before >= 0) & (at[before] <= order.left_after[order.row(at)])
+        return Commit(ready & ~shut, np.where(ready & shut, before, -1).astype(np.int32))
+
+
+def rotation(order: VisitOrder) -> tuple[int, tuple[int, ...]] | None:
+    """The first slot in which robots move in a closed circle, and who; None if there is none.
+
+    Each gate of a transition planned for slot t that opens by another transition of slot t is an
+    arrow from robot to robot; a robot has one such arrow at most, so circles are found by walking.
+    """
+    state = np.arange(len(order.robot)) - order.first_row[order.robot]
+    same = (order.before >= 0) & (order.left_after == state)
+    rows = np.flatnonzero(same)
+    for row in rows[np.argsort(state[rows], kind="stable")].tolist():
+        slot, begin = int(state[row]), int(order.robot[row])
+        circle, here = [begin], int(order.before[row])
+        while here != begin and len(circle) <= len(order.arrival):
+            at = int(order.first_row[here]) + slot
+            if not same[at]:
+                break
+            circle.append(here)
+            here = int(order.before[at])
+        if here == begin:
+            return slot, tuple(circle)
+    return None
+
+
+def refuse_rotation(order: VisitOrder, robot_ids: tuple[str, ...], first_slot: int = 0) -> None:
+    """Refuse a plan that a strict order would never finish.
+
+    Raises:
+        TwinError: naming the robots and the slot.
+    """
+    found = rotation(order)
+    if found is None:
+        return
+    slot, circle = found
+    names = ", ".join(robot_ids[i] for i in circle)
+    raise TwinError(
+        f"the plan has a rotation in slot {slot + first_slot}: robots {names} move in a circle, "
+        "each into the place the next one leaves; in strict order they would wait for each other "
+        'for ever. Use run.policy = "group", or another plan (another plan.seed)'
+    )
+
+
 def catch_up(order: VisitOrder, at: Ints, slot: int) -> Ints:
     """(N,) states after late robots have left out the waits that change nothing but time."""
     late = (at < slot) & (at < order.arrival)
@@ -195,7 +289,33 @@ def visit_order(problem: Problem, plan: Plan) -> VisitOrder:
         TwinError: the paths are not walks in the problem's graph. (Whether they collide, overload
             APs or use what is not covered is for `planner.check` to say; such plans are executed.)
     """
-    paths = [_walk(problem, name, i, plan) for i, name in enumerate(_robots(problem, plan))]
+    names = _robots(problem, plan)
+    return order_of(problem, [Route.of(path) for path in plan.paths], names, from_start=True)
+
+
+def order_of(
+    problem: Problem,
+    routes: list[Route | None],
+    names: tuple[str, ...] | None = None,
+    *,
+    from_start: bool = False,
+) -> VisitOrder:
+    """The visit order of routes, one per robot of the problem, None for those not on the floor.
+
+    Args:
+        problem: whose graph the routes are in.
+        routes: what each robot does.
+        names: of the robots in messages.
+        from_start: the routes begin at the robots' origins.
+
+    Raises:
+        TwinError: as `visit_order`.
+    """
+    names = names or problem.robot_ids
+    paths = [
+        _walk(problem, name, i, route, from_start)
+        for i, (name, route) in enumerate(zip(names, routes, strict=True))
+    ]
     lengths = np.array([len(v) for v, _, _ in paths], np.int32)
     first_row = np.concatenate([[0], np.cumsum(lengths)])[:-1].astype(np.int32)
     vertex, ap, edge = (
@@ -203,8 +323,10 @@ def visit_order(problem: Problem, plan: Plan) -> VisitOrder:
     )
     robot = np.repeat(np.arange(len(paths), dtype=np.int32), lengths)
     state = np.arange(len(robot), dtype=np.int32) - np.repeat(first_row, lengths)
-    piece = _pieces(robot, vertex, edge)
-    next_vertex, last_piece = _crossings(problem, plan, robot, state, vertex, edge, piece)
+    offset = np.array([0 if r is None else r.piece for r in routes], np.int32)
+    to_goal = np.array([r is None or r.to_goal for r in routes], np.bool_)
+    piece = _pieces(robot, state, vertex, edge, offset)
+    next_vertex, last_piece = _crossings(problem, names, robot, state, vertex, edge, piece)
 
     park = problem.at_goal == "park"
     is_final = state == np.repeat(lengths - 1, lengths)
@@ -213,15 +335,17 @@ def visit_order(problem: Problem, plan: Plan) -> VisitOrder:
     on_vertex = piece == 0
     ends = is_final | (on_vertex & (edge >= 0))
     starts = on_vertex & np.concatenate([[True], is_final[:-1] | last_piece[:-1]])[: len(robot)]
-    until = np.where(is_final & park, _NEVER, state)[ends]
+    stays = is_final & (park | ~to_goal[robot])
+    until = np.where(stays, _NEVER, state)[ends]
     _gates(vertex[starts], robot[starts], state[starts], until, state[starts] - 1, before,
            left_after, first_row)  # fmt: skip
     gated_by_vertex = before >= 0
 
-    enters = on_vertex & (edge >= 0) & ~last_piece
+    amid = (state == 0) & (piece > 0)  # a route that begins on an edge
+    enters = (on_vertex & (edge >= 0) & ~last_piece) | amid
     leaves = last_piece & (piece > 0)
-    _gates(edge[enters], robot[enters], state[enters], state[leaves], state[enters], before,
-           left_after, first_row)  # fmt: skip
+    _gates(edge[enters], robot[enters], state[enters], state[leaves],
+           np.where(amid, -1, state)[enters], before, left_after, first_row)  # fmt: skip
     strict = (before >= 0) & ~gated_by_vertex
 
     # A wait that keeps the AP can be left out; the final state has none to leave out.
@@ -230,7 +354,11 @@ def visit_order(problem: Problem, plan: Plan) -> VisitOrder:
     stop = np.flatnonzero(~idle)
     jump = stop[np.searchsorted(stop, np.arange(len(robot)))] - first_row[robot]
 
-    strict.flags.writeable = False
+    entered = on_vertex & (edge >= 0)
+    count = np.cumsum(entered) - entered
+    begun = count - count[first_row[robot]] + (offset > 0)[robot]
+
+    strict.flags.writeable = to_goal.flags.writeable = False
     return VisitOrder(
         park=park,
         first_row=_frozen(first_row),
@@ -245,6 +373,8 @@ def visit_order(problem: Problem, plan: Plan) -> VisitOrder:
         left_after=_frozen(left_after),
         strict=strict,
         jump=_frozen(jump),
+        begun=_frozen(begun),
+        to_goal=to_goal,
     )
 
 
@@ -270,9 +400,10 @@ def _some(names: tuple[str, ...]) -> str:
     return f"{', '.join(names[:3])}{', …' if len(names) > 3 else ''} ({len(names)} in all)"
 
 
-def _walk(problem: Problem, name: str, i: int, plan: Plan) -> tuple[Ints, Ints, Ints]:
+def _walk(
+    problem: Problem, name: str, i: int, path: Route | None, from_start: bool
+) -> tuple[Ints, Ints, Ints]:
     """Vertices, APs and edges of robot i's path, each (τ+1,); TwinError for wrong indices."""
-    path = plan.paths[i]
     if path is None:
         return np.empty(0, np.int32), np.empty(0, np.int32), np.empty(0, np.int32)
     vertex, ap = np.asarray(path.vertices, np.int32), np.asarray(path.aps, np.int32)
@@ -294,7 +425,9 @@ def _walk(problem: Problem, name: str, i: int, plan: Plan) -> tuple[Ints, Ints, 
                 f"robot {name}, slot {wrong[0]}: {what} {column[wrong[0]]} does not exist; the "
                 f"problem has {high} (0 … {high - 1})"
             )
-    for where, slot, wanted in (("start", 0, problem.start[i]), ("goal", -1, problem.goal[i])):
+    ends = [("start", 0, problem.start[i])] if from_start else []
+    ends += [("goal", -1, problem.goal[i])] if path.to_goal else []
+    for where, slot, wanted in ends:
         if vertex[slot] != wanted:
             raise TwinError(
                 f"robot {name}: its path has vertex {vertex[slot]} at its {where}, the problem "
@@ -303,11 +436,11 @@ def _walk(problem: Problem, name: str, i: int, plan: Plan) -> tuple[Ints, Ints, 
     return vertex, ap, edge
 
 
-def _pieces(robot: Ints, vertex: Ints, edge: Ints) -> Ints:
+def _pieces(robot: Ints, state: Ints, vertex: Ints, edge: Ints, offset: Ints) -> Ints:
     """(S,) which slot of its crossing each transition is, from 0; 0 for waits.
 
     Consecutive transitions on one edge with one vertex left are one crossing: a second one of
-    the same edge starts from its other end.
+    the same edge starts from its other end. A route may begin with piece `offset` (N,) > 0.
     """
     n = len(robot)
     goes_on = np.zeros(n, np.bool_)
@@ -319,11 +452,19 @@ def _pieces(robot: Ints, vertex: Ints, edge: Ints) -> Ints:
     )
     index = np.arange(n)
     begun = np.maximum.accumulate(np.where(goes_on, 0, index)) if n else index
-    return (index - begun).astype(np.int32)
+    own = begun - state[begun] == index - state  # the crossing began within this robot's rows
+    first = np.where((state[begun] == 0) & own & (edge >= 0), offset[robot], 0) if n else 0
+    return (index - begun + first).astype(np.int32)
 
 
 def _crossings(
-    problem: Problem, plan: Plan, robot: Ints, state: Ints, vertex: Ints, edge: Ints, piece: Ints
+    problem: Problem,
+    names: tuple[str, ...],
+    robot: Ints,
+    state: Ints,
+    vertex: Ints,
+    edge: Ints,
+    piece: Ints,
 ) -> tuple[Ints, Bools]:
     """Where each transition leads, and which end a crossing; TwinError if it is not a walk."""
     n = len(robot)
@@ -349,7 +490,7 @@ def _crossings(
     for i in np.flatnonzero(wrong)[:1]:
         move = f"edge {edge[i]}" if crosses[i] else "a wait"
         raise TwinError(
-            f"robot {plan.robot_ids[robot[i]]}, slot {state[i]}: {move} does not lead from vertex "
+            f"robot {names[robot[i]]}, slot {state[i]}: {move} does not lead from vertex "
             f"{vertex[i]} to vertex {after[i]} in this slot; run a plan with the problem it was "
             "made for"
         )

@@ -10,11 +10,12 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from logs.records import ApKpi, Incident, Kpi, Record, RobotKpi, RunEnd
+from logs.records import ApKpi, Incident, Kpi, Record, Replan, RobotKpi, RunEnd
 from twin.instance import Instance, Stopwatch
 from twin.outputs import RunFiles, check_run_folder, staged
 
@@ -34,6 +35,7 @@ class Execution:
         robots, aps: those of each robot and AP.
         end: its verdict.
         incidents: how many of each kind.
+        replans: new plans that were asked for.
     """
 
     kpi: Kpi
@@ -41,6 +43,7 @@ class Execution:
     aps: tuple[ApKpi, ...]
     end: RunEnd
     incidents: dict[str, int]
+    replans: tuple[Replan, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -129,9 +132,13 @@ def per_cent_at_most(share: float) -> str:
 
 
 def make_plan(
-    problem: Problem, params: SolveParams | None = None, *, watch: Stopwatch | None = None
+    problem: Problem,
+    params: SolveParams | None = None,
+    *,
+    watch: Stopwatch | None = None,
+    stop: Callable[[], bool] = lambda: False,
 ) -> Plan:
-    """Ask the planner, passing its progress on."""
+    """Ask the planner, passing its progress on; `stop` ends it with the best answer so far."""
     from planner.solve import Progress, solve
 
     watch = watch or Stopwatch()
@@ -139,10 +146,14 @@ def make_plan(
 
     def on_progress(progress: Progress) -> None:
         found = f"{progress.served} of {robots} robots, cost {progress.cost}"
-        watch.on_step(f"plan: {progress.phase}, {found}, bound {progress.bound:.0f}", None)
+        bound = f"bound {progress.bound:.0f}"
+        if progress.served == robots and progress.bound > 0:
+            bound += f", gap {per_cent_at_most(progress.cost / progress.bound - 1)}"
+        columns = f", {progress.columns} columns" if progress.columns else ""
+        watch.on_step(f"plan: {progress.phase}, {found}, {bound}{columns}", None)
 
     with watch.phase("plan"):
-        return solve(problem, params, on_progress)
+        return solve(problem, params, on_progress, stop)
 
 
 def kernels_are_compiled() -> bool:
@@ -280,6 +291,7 @@ class Tally:
         self._robots: list[RobotKpi] = []
         self._aps: list[ApKpi] = []
         self._incidents: Counter[str] = Counter()
+        self._replans: list[Replan] = []
 
     def add(self, record: Record) -> None:
         """Take note of one record."""
@@ -292,6 +304,8 @@ class Tally:
                 self._aps.append(record)
             case Incident():
                 self._incidents[record.kind] += 1
+            case Replan():
+                self._replans.append(record)
             case RunEnd():
                 self._end = record
             case _:
@@ -312,4 +326,5 @@ class Tally:
             tuple(self._aps),
             self._end,
             dict(sorted(self._incidents.items())),
+            tuple(self._replans),
         )

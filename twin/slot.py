@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from logs.records import (
     ARRIVED,
+    CAUSES,
     GONE,
     HELD,
     LINKS,
@@ -52,6 +53,8 @@ class Slot:
         number: t.
         at: (N,) int32, state of each robot at its beginning.
         commit: who advances.
+        cause: (N,) why robots do not that would, index into `CAUSES`, −1 if for no such cause.
+        last_visit: (N,) index of the last state of each robot's path, also of those gone.
         motion: of the n bodies on the floor.
         radio: their links.
     """
@@ -62,6 +65,8 @@ class Slot:
     number: int
     at: Ints
     commit: Commit
+    cause: Ints
+    last_visit: Ints
     motion: SlotMotion
     radio: SlotRadio
 
@@ -91,10 +96,15 @@ class Slot:
         following = np.where(crosses, self.order.next_vertex[motion.row], motion.vertex)
         activity = np.where(crosses, MOVING, WAITING)
         activity = np.where(self.commit.advance[motion.robot], activity, HELD)
-        activity = np.where(state == self.order.arrival[motion.robot], ARRIVED, activity)
+        activity = np.where(self.arrived[motion.robot], ARRIVED, activity)
         columns = (state, motion.vertex, motion.edge, following, activity)
         waits_for = [names[j] if j >= 0 else "" for j in self.commit.waits_for[motion.robot]]
         return list(zip(*(column.tolist() for column in columns), waits_for, strict=True))
+
+    @property
+    def arrived(self) -> NDArray[np.bool_]:
+        """(N,) bool, robots at their goals for good."""
+        return np.asarray((self.at == self.order.arrival) & self.order.to_goal)
 
     @cached_property
     def _first(self) -> list[tuple[int, int, float, float]]:
@@ -141,7 +151,7 @@ class Slot:
         k = self.body[i]
         if k >= 0:
             return self._state(i, self.begin_s, *self._first[k])
-        last, goal = int(self.order.arrival[i]), int(self.problem.goal[i])
+        last, goal = int(self.last_visit[i]), int(self.problem.goal[i])
         doing = (last, goal, -1, goal, GONE, "")
         robot = self.problem.robot_ids[i]
         return RobotState(self.begin_s, self.number, robot, *doing, "", NO_AP, NO_SNR_DB, 0.0)
@@ -153,16 +163,17 @@ class Slot:
     def _state(
         self, i: int, t_s: float, ap: int, link: int, snr_db: float, rate_mbps: float
     ) -> RobotState:
-        problem = self.problem
+        problem, doing = self.problem, self._doing[self.body[i]]
         return RobotState(
             t_s,
             self.number,
             problem.robot_ids[i],
-            *self._doing[self.body[i]],
-            problem.ap_ids[ap],
+            *doing,
+            problem.ap_ids[ap] if ap >= 0 else "",
             LINKS[link],
             snr_db,
             rate_mbps,
+            CAUSES[self.cause[i]] if doing[4] == HELD and self.cause[i] >= 0 else "",
         )
 
     def handover(self, i: int, change: Change) -> Handover | None:
@@ -178,14 +189,14 @@ class Slot:
             t_s=change.t_s,
             slot=self.number,
             robot=self.problem.robot_ids[i],
-            from_ap=self.problem.ap_ids[before],
+            from_ap=self.problem.ap_ids[before] if before >= 0 else "",
             to_ap=self.problem.ap_ids[after],
             vertex=vertex,
             next_vertex=next_vertex,
             x_m=x,
             y_m=y,
             end_s=end_s,
-            planned=True,
+            planned=change.planned,
         )
 
     # --- incidents --------------------------------------------------------------------------
@@ -195,10 +206,12 @@ class Slot:
 
     def outage(self, i: int, outage: Outage) -> Incident:
         """An outage of robot i that is over."""
-        robot, ap = self.problem.robot_ids[i], self.problem.ap_ids[outage.ap]
+        robot = self.problem.robot_ids[i]
+        ap = self.problem.ap_ids[outage.ap] if outage.ap >= 0 else ""
+        level = f", {outage.least_db:.1f} dB at the least" if outage.least_db > NO_SNR_DB else ""
         text = (
-            f"robot {robot} was below the threshold from {outage.begin_s:.3f} s to "
-            f"{outage.end_s:.3f} s, first served by {ap}, {outage.least_db:.1f} dB at the least"
+            f"robot {robot} was without connection from {outage.begin_s:.3f} s to "
+            f"{outage.end_s:.3f} s, first served by {ap or 'no AP'}{level}"
         )
         return Incident(outage.end_s, self.number, "outage", robot, "", ap, outage.lasted_s, text)
 
@@ -261,4 +274,28 @@ class Slot:
             (robot,) = self._names(int(k))
             text = f"robot {robot} touches obstacle {box_names[box[k]]} in slot {self.number}"
             found.append(Incident(self.end_s, self.number, "obstacle", robot, "", "", 0.0, text))
+        return found
+
+    def caught(self, touched: dict[int, str]) -> list[Incident]:
+        """Bodies that touch a blockage in the slot, told at its end.
+
+        Args:
+            touched: the blockage's name by the body's index.
+        """
+        found = []
+        for k, name in sorted(touched.items()):
+            (robot,) = self._names(k)
+            text = f"robot {robot} stands in the way of {name}, and touches it, in slot"
+            found.append(
+                Incident(
+                    self.end_s,
+                    self.number,
+                    "caught",
+                    robot,
+                    name,
+                    "",
+                    0.0,
+                    f"{text} {self.number}",
+                )
+            )
         return found

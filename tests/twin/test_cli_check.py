@@ -51,7 +51,7 @@ def test_strict_and_ignore(hall: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("codes", "words"), [("W999", "no code"), ("E106", "cannot be ignored"), ("W1O3", "'W103'")]
+    ("codes", "words"), [("W999", "no code"), ("E106", "cannot be ignored"), ("W2O9", "'W209'")]
 )
 def test_what_cannot_be_ignored(hall: Path, codes: str, words: str) -> None:
     """Errors, and codes that there are none of."""

@@ -25,6 +25,7 @@ from logs.records import (
     RunStart,
     Sample,
     Separation,
+    Waits,
 )
 from tests.twin.halls import SQUARE, incidents, make_hall, of_type, random_hall
 from tests.twin.plans import make_plan
@@ -173,12 +174,12 @@ def test_records_come_in_the_order_of_the_contract(seed, interruption_ms):
     records = execute(hall._replace(world=world), plan)
     assert isinstance(records[0], RunStart)
     assert isinstance(records[-1], RunEnd)
-    body = [r for r in records[1:-1] if not isinstance(r, (RobotKpi, ApKpi))]
+    body = [r for r in records[1:-1] if not isinstance(r, (RobotKpi, ApKpi, Waits))]
     end_s = records[-1].t_s
     keys = [(round(r.t_s * 1e9), *place_in_instant(r, hall)) for r in body if r.t_s < end_s]
     assert keys == sorted(keys)
     final = [type(r) for r in records if r.t_s == end_s]
-    tail = [Kpi, *[RobotKpi] * len(plan.paths), *[ApKpi] * hall.problem.n_aps, RunEnd]
+    tail = [Kpi, *[RobotKpi] * len(plan.paths), *[ApKpi] * hall.problem.n_aps, Waits, RunEnd]
     assert final[-len(tail) :] == tail
     before = [t for t in final[: -len(tail)] if t is not Incident]
     assert before.count(Separation) == before.count(Sample) == 1
@@ -258,6 +259,7 @@ RobotKpi 6
 RobotKpi 6
 ApKpi 6
 ApKpi 6
+Waits 6
 RunEnd 6 completed 
 """
 
