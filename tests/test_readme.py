@@ -36,7 +36,7 @@ def place(tmp_path_factory) -> Path:
     """An empty folder with the worlds that ship, and `twin` on the PATH of its shell."""
     folder = tmp_path_factory.mktemp("readme")
     (folder / "worlds").mkdir()
-    for world in (ROOT / "worlds").glob("*.toml"):
+    for world in [*(ROOT / "worlds").glob("*.toml"), *(ROOT / "worlds").glob("*.json")]:
         shutil.copy(world, folder / "worlds")
     return folder
 
