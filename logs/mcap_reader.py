@@ -324,6 +324,7 @@ class _Walk:
         body = data[: -len(MAGIC)]
         summary_at = None
         last = None
+        chunks = 0
         for last in pieces(body, len(MAGIC)):
             if last.offset == len(MAGIC):
                 if last.opcode != Opcode.HEADER:
@@ -333,7 +334,13 @@ class _Walk:
                 _check_crc("its data section", parse(last).data_section_crc, data[: last.offset])
                 summary_at = last.end
             elif summary_at is None:
+                chunks += last.opcode == Opcode.CHUNK
                 yield last
+            elif last.opcode == Opcode.STATISTICS and parse(last).chunk_count != chunks:
+                raise LogError(
+                    f"is damaged: it has {chunks} chunks of messages, its statistics count "
+                    f"{parse(last).chunk_count}; run the world again"
+                )
         if last is None or summary_at is None or last.opcode != Opcode.FOOTER:
             raise LogError("is damaged: it has no end of data or no footer; run the world again")
         # The CRC covers the summary and the footer up to the CRC itself, its last 4 bytes.

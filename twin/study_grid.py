@@ -289,9 +289,12 @@ def _refuse_hopeless(
             blamed.setdefault(place, []).append(bool(mine))
             if mine:
                 words.setdefault(place, Fault(place, mine[0].message))
-    hopeless = [words[place] for place, found in blamed.items() if all(found)]
+    hopeless: dict[tuple[Key, str], Fault] = {}  # a misspelt path is told once, not per level
+    for place, found in blamed.items():
+        if all(found):
+            hopeless.setdefault((place[:-1], words[place].message), words[place])
     if hopeless:
-        raise source.error(hopeless)
+        raise source.error(list(hopeless.values()))
     if all(wrong):
         # No single value is at fault, and yet nothing can be run.
         fault = wrong[0][0][1]

@@ -59,6 +59,7 @@ def test_faults_have_file_and_line_and_all_come_at_once(folder):
     [
         ('[factors]\n"plan.horizn" = [20]\n', "study.toml:6: factors.plan.horizn[0]: is not a kno"),
         ('[factors]\n"plan.horizon" = [20, "x"]\n', 'factors.plan.horizon[1]: "x" is not a whole'),
+        ('[factors]\n"plan.horizn" = [20, 30]\n', "plan.horizn[0]: is not a known key; did"),
         ('[factors]\n"plan.horizon" = []\n', "factors.plan.horizon: has no levels"),
         ('[factors]\n"plan.horizon" = 3\n', "must be a list of values"),
         ('[factors]\n"planner.metod" = ["auto"]\n', "did you mean 'method'"),
