@@ -44,7 +44,7 @@ from logs.mcap_format import (
     ContentHash,
 )
 from logs.protobuf import CODECS, PACKAGE, decode, field_layout, message_name, schema_data
-from logs.records import Record
+from logs.records import Record, RunStart
 
 if TYPE_CHECKING:
     from logs.tables import Table
@@ -134,6 +134,8 @@ class RunFile:
                 f"{self.path}: has format {run.get('format')!r}, this version reads "
                 f"{', '.join(_KNOWN_FORMATS)}; use the version that wrote it ({self.library})"
             )
+        if message_name(RunStart) not in self.topics.values():
+            raise LogError(f"{self.path}: is damaged: none of its topics holds a run's records")
 
     @cached_property
     def records(self) -> tuple[Record, ...]:
@@ -284,7 +286,8 @@ class _Walk:
         self.topics: dict[str, str] = {}
         self._schemas: dict[int, Schema] = {}
         self._channels: dict[int, tuple[str, str]] = {}
-        self._unpacked = 0
+        self._unpacked = self._messages = 0
+        self._statistics: Any = None  # the MCAP record, once it was met
 
     def parts(self, *, messages: bool, schemas: Collection[str] | None = None) -> Iterator[Part]:
         """Attachments, metadata and, if wanted, messages (of these types), in file order."""
@@ -292,6 +295,12 @@ class _Walk:
         with _told(self.path):
             for piece in self.data_pieces(data):
                 yield from self._part(piece, messages, schemas)
+            counted = self._statistics
+            if counted is not None and counted.message_count != self._messages:
+                raise LogError(
+                    f"is damaged: it has {self._messages} messages, its statistics count "
+                    f"{counted.message_count}; run the world again"
+                )
 
     def check_schemas(self) -> None:
         """Raise a LogError unless the record types in the file are those of this version."""
@@ -324,7 +333,6 @@ class _Walk:
         body = data[: -len(MAGIC)]
         summary_at = None
         last = None
-        chunks = 0
         for last in pieces(body, len(MAGIC)):
             if last.offset == len(MAGIC):
                 if last.opcode != Opcode.HEADER:
@@ -334,13 +342,9 @@ class _Walk:
                 _check_crc("its data section", parse(last).data_section_crc, data[: last.offset])
                 summary_at = last.end
             elif summary_at is None:
-                chunks += last.opcode == Opcode.CHUNK
                 yield last
-            elif last.opcode == Opcode.STATISTICS and parse(last).chunk_count != chunks:
-                raise LogError(
-                    f"is damaged: it has {chunks} chunks of messages, its statistics count "
-                    f"{parse(last).chunk_count}; run the world again"
-                )
+            elif last.opcode == Opcode.STATISTICS:
+                self._statistics = parse(last)
         if last is None or summary_at is None or last.opcode != Opcode.FOOTER:
             raise LogError("is damaged: it has no end of data or no footer; run the world again")
         # The CRC covers the summary and the footer up to the CRC itself, its last 4 bytes.
@@ -358,6 +362,7 @@ class _Walk:
                 unpacked = unpack_chunk(chunk)
                 _check_crc(f"the chunk at byte {piece.offset}", chunk.uncompressed_crc, unpacked)
                 for inner in pieces(memoryview(unpacked), 0):
+                    self._messages += inner.opcode == Opcode.MESSAGE
                     if inner.opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
                         self._define(inner)
                     elif inner.opcode == Opcode.MESSAGE and messages:
@@ -366,8 +371,9 @@ class _Walk:
                             yield message
             case Opcode.SCHEMA | Opcode.CHANNEL:
                 self._define(piece)
-            case Opcode.MESSAGE if messages:  # written without chunks by another program
-                message = self._message(piece, schemas)
+            case Opcode.MESSAGE:  # written without chunks by another program
+                self._messages += 1
+                message = self._message(piece, schemas) if messages else None
                 if message is not None:
                     yield message
             case Opcode.ATTACHMENT:
