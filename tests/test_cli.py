@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
@@ -311,4 +313,12 @@ def test_help_and_version_answer():
         assert done.code == 0
         assert "--debug" in done.out
     assert "mapp-twin" in twin("--version").out
+
+
+def test_module_is_the_command():
+    """`python -m twin` answers like `twin`, by the same name."""
+    done = subprocess.run(
+        [sys.executable, "-m", "twin", "plan", "-h"], capture_output=True, text=True, check=True
+    )
+    assert "Usage: twin plan" in done.stdout
     assert cli.main.__doc__

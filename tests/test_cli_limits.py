@@ -43,6 +43,17 @@ def test_limits_that_are_none(hall: Path, options: tuple[str, str], named: str) 
     assert not (hall.parent / "runs").exists()
 
 
+@pytest.mark.parametrize(
+    ("method", "option"), [("pgcp", "--nodes"), ("cooperative", "--iterations"), ("pgcp", "--gap")]
+)
+def test_limits_a_method_does_not_know(hall: Path, method: str, option: str) -> None:
+    """A limit that would change nothing is refused, with the methods that know it."""
+    found = twin("plan", hall, "--method", method, option, "1")
+    assert found.code == 2
+    assert option in found.err
+    assert "auto" in found.err
+
+
 def test_options_reach_the_planner() -> None:
     """What is given is passed on, what is not is the planner's default."""
     default = solver_params(Method.auto, 3)

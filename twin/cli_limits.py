@@ -48,6 +48,14 @@ Nodes = Annotated[
 ]
 
 
+TAKEN_BY: dict[str, frozenset[Method]] = {
+    "iterations": frozenset({Method.auto, Method.exact, Method.decoupled}),
+    "gap": frozenset({Method.auto, Method.exact}),
+    "nodes": frozenset({Method.auto, Method.exact}),
+}
+"""Which methods a limit means something to; to any other it would be an idle promise."""
+
+
 def solver_params(
     method: Method,
     seed: int,
@@ -60,13 +68,20 @@ def solver_params(
     """What the options ask of the planner; what is not given is the planner's default.
 
     Raises:
-        TwinError: a time limit that is none.
+        TwinError: a time limit that is none, or a limit that the method does not know.
     """
     from planner.solve import SolveParams
 
     if time_limit is not None and not time_limit > 0:
         raise TwinError(f"--time-limit {time_limit:g}: must be more than 0 seconds")
     given = {"iterations": iterations, "time_limit": time_limit, "gap": gap, "nodes": nodes}
+    for name, methods in TAKEN_BY.items():
+        if given[name] is not None and method not in methods:
+            known = ", ".join(sorted(m.value for m in methods))
+            raise TwinError(
+                f"--{name} {given[name]:g}: --method {method.value} knows no such limit (only "
+                f"{known} do); leave it out, or use --time-limit"
+            )
     return SolveParams(
         method=method.value,
         seed=seed,
