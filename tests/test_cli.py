@@ -313,6 +313,7 @@ def test_help_and_version_answer():
         assert done.code == 0
         assert "--debug" in done.out
     assert "mapp-twin" in twin("--version").out
+    assert cli.main.__doc__
 
 
 def test_module_is_the_command():
@@ -321,4 +322,3 @@ def test_module_is_the_command():
         [sys.executable, "-m", "twin", "plan", "-h"], capture_output=True, text=True, check=True
     )
     assert "Usage: twin plan" in done.stdout
-    assert cli.main.__doc__

@@ -169,7 +169,9 @@ class Results:
         ):
             return None
         if kpi not in self._relative:
-            return row.values.get(kpi)
+            figure = row.values.get(kpi)
+            # Sums of seconds differ in their last digits; that is no spread between runs.
+            return float(f"{figure:.12g}") if isinstance(figure, float) else figure
         wanted = self._relative[kpi]
         other = self.grid.other(self.grid.cells[cell], wanted.of)
         partner = None if other is None else self._row.get((other, replication))
