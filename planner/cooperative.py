@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.fleet import FleetPlan
 from planner.plan import Path
 from planner.resources import BLOCKED, Resources
 from planner.search import Penalties, Search
@@ -52,14 +53,10 @@ def cooperative_astar(
     Returns:
         One path per robot, None for robots that found no way (and for robots not in `order`).
     """
-    reservations = Reservations(resources)
-    paths: list[Path | None] = [None] * len(search.problem.robot_ids)
+    fleet = FleetPlan(search)
     for robot in order:
-        _, path = search.shortest(robot, reservations.penalties)
-        if path is not None:
-            paths[robot] = path
-            reservations.add(resources.used_by(path))
-    return paths
+        fleet.plan(robot)
+    return fleet.paths()
 
 
 def cooperative_with_restarts(

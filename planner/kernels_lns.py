@@ -1,6 +1,6 @@
 """The compiled loop of large neighbourhood search; see `planner.improve` for what it does.
 
-All costs are in whole cost units (the search kernel's `scale` is 1), penalties are 0 or `BLOCKED`.
+All costs are in whole cost units.
 """
 
 from __future__ import annotations
@@ -11,65 +11,18 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from planner.kernels import BLOCKED, INFINITE, astar
+from planner.kernels_fleet import occupy, plan_robot
 
 N_STRATEGIES = 4
 RANDOM, WALK, PLACE, AP = range(N_STRATEGIES)
 
-
-class Graph(NamedTuple):
-    """The static graph and the robots, as the kernels read them."""
-
-    horizon: int
-    park: bool
-    n_edges: int
-    arc_ptr: NDArray[np.int32]
-    arc_to: NDArray[np.int32]
-    arc_from: NDArray[np.int32]
-    arc_move: NDArray[np.int32]
-    arc_slots: NDArray[np.int32]
-    arc_cost: NDArray[np.int64]
-    node_vertex: NDArray[np.int32]
-    node_ap: NDArray[np.int32]
-    cost_to_go: NDArray[np.int64]  # (N, n)
-    slots_to_go: NDArray[np.int32]  # (N, n)
-    start_ptr: NDArray[np.int64]
-    start_nodes: NDArray[np.int32]
-    goal_ptr: NDArray[np.int64]
-    goal_nodes: NDArray[np.int32]
-    latest: NDArray[np.int32]  # (N,) slot by which each must arrive
-    ap_capacity: NDArray[np.int32]
-    least_cost: NDArray[np.int64]  # (N,) alone on the floor
-    no_use: NDArray[np.int32]
-    nothing_forbidden: NDArray[np.bool_]
-    no_arrival: NDArray[np.int64]  # (0,) no penalty on arriving
-
-
-class Fleet(NamedTuple):
-    """The plan being improved and what it occupies; all arrays are changed in place."""
-
-    arcs: NDArray[np.int32]  # (N, T) arc taken from each slot, repeated while it lasts
-    first: NDArray[np.int32]  # (N,) node in slot 0
-    arrival: NDArray[np.int64]  # (N,) slot, -1 for robots without a path
-    cost: NDArray[np.int64]  # (N,) cost, `unserved_cost` for robots without a path
-    node_at: NDArray[np.int32]  # (N, T+1) node in each slot (left last amid an edge), -1 if none
-    at_vertex: NDArray[np.int32]  # (T+1, V) robot there, -1 if none
-    on_edge: NDArray[np.int32]  # (T, E)
-    ap_load: NDArray[np.int32]  # (T+1, A)
-    pv: NDArray[np.int64]
-    pm: NDArray[np.int64]
-    pa: NDArray[np.int64]
+SALTS = 1 << 30
+"""Ways to decide between paths of equal cost."""
 
 
 class Workspace(NamedTuple):
-    """Scratch arrays of the search kernel and of one neighbourhood."""
+    """The paths a neighbourhood had, and the cheapest plan so far."""
 
-    g: NDArray[np.int64]
-    ties: NDArray[np.int64]
-    parent: NDArray[np.int32]
-    stamp: NDArray[np.int64]
-    now: NDArray[np.int64]  # (1,)
-    path: NDArray[np.int32]
     old_arcs: NDArray[np.int32]
     old_first: NDArray[np.int32]
     old_arrival: NDArray[np.int64]
@@ -78,97 +31,6 @@ class Workspace(NamedTuple):
     best_first: NDArray[np.int32]
     best_arrival: NDArray[np.int64]
     best_cost: NDArray[np.int64]
-
-
-@njit(cache=True, nogil=True)
-def _serve(graph, fleet, i, t, node, add):
-    a = graph.node_ap[node]
-    fleet.ap_load[t, a] += 1 if add else -1
-    fleet.pa[t, a] = BLOCKED if fleet.ap_load[t, a] >= graph.ap_capacity[a] else 0
-    fleet.node_at[i, t] = node if add else -1
-
-
-@njit(cache=True, nogil=True)
-def _stand(graph, fleet, i, t, node, add):
-    v = graph.node_vertex[node]
-    fleet.at_vertex[t, v] = i if add else -1
-    fleet.pv[t, v] = BLOCKED if add else 0
-
-
-@njit(cache=True, nogil=True)
-def occupy(graph, fleet, i, add):
-    """Adds the path of robot i to what is occupied, or takes it away."""
-    tau = fleet.arrival[i]
-    if tau < 0:
-        return
-    node = fleet.first[i]
-    _serve(graph, fleet, i, 0, node, add)
-    t = 0
-    while t < tau:
-        arc = fleet.arcs[i, t]
-        k = graph.arc_slots[arc]
-        move = graph.arc_move[arc]
-        if move < 2 * graph.n_edges:
-            e = move >> 1
-            for j in range(t, t + k):
-                fleet.on_edge[j, e] = i if add else -1
-                fleet.pm[j, 2 * e] = BLOCKED if add else 0
-                fleet.pm[j, 2 * e + 1] = BLOCKED if add else 0
-        for j in range(t + 1, t + k):
-            _serve(graph, fleet, i, j, node, add)
-        t += k
-        node = graph.arc_to[arc]
-        _serve(graph, fleet, i, t, node, add)
-        _stand(graph, fleet, i, t, node, add)
-    if graph.park:
-        for j in range(tau + 1, graph.horizon + 1):
-            _serve(graph, fleet, i, j, node, add)
-            _stand(graph, fleet, i, j, node, add)
-
-
-@njit(cache=True, nogil=True)
-def plan_robot(graph, fleet, work, i, limit):
-    """Plans robot i around all others; True and its new path in the fleet if one costs < limit."""
-    work.now[0] += 1
-    cost, tau, first = astar(
-        graph.horizon,
-        graph.arc_ptr,
-        graph.arc_to,
-        graph.arc_from,
-        graph.arc_move,
-        graph.arc_slots,
-        graph.arc_cost,
-        graph.node_vertex,
-        graph.node_ap,
-        graph.cost_to_go[i],
-        graph.slots_to_go[i],
-        graph.start_nodes[graph.start_ptr[i] : graph.start_ptr[i + 1]],
-        graph.goal_nodes[graph.goal_ptr[i] : graph.goal_ptr[i + 1]],
-        1,
-        fleet.pv,
-        fleet.pm,
-        fleet.pa,
-        graph.no_use,
-        graph.nothing_forbidden,
-        graph.park,
-        0,
-        graph.latest[i],
-        graph.no_arrival,
-        limit,
-        work.g,
-        work.ties,
-        work.parent,
-        work.stamp,
-        work.now[0],
-        work.path,
-    )
-    if tau < 0:
-        return False
-    fleet.arrival[i] = tau
-    fleet.first[i] = first
-    fleet.cost[i] = cost
-    fleet.arcs[i, :tau] = work.path[:tau]
-    return True
 
 
 @njit(cache=True, nogil=True)
@@ -198,6 +60,7 @@ def _one_served_by(graph, fleet, t, a, rng):
 @njit(cache=True, nogil=True)
 def _random_walk(graph, fleet, i, members, size, wanted, rng):
     """Who stands in the way of robot i where it could be cheaper: random walks off its path."""
+    to_go, slots_to_go = graph.cost_to_go[graph.goal_of[i]], graph.slots_to_go[graph.goal_of[i]]
     for _ in range(10 * wanted):
         if size >= wanted:
             break
@@ -220,8 +83,8 @@ def _random_walk(graph, fleet, i, members, size, wanted, rng):
             for arc in range(graph.arc_ptr[node], graph.arc_ptr[node + 1]):
                 m = graph.arc_to[arc]
                 if (
-                    cost + graph.arc_cost[arc] + graph.cost_to_go[i, m] < fleet.cost[i]
-                    and t + graph.arc_slots[arc] + graph.slots_to_go[i, m] <= graph.horizon
+                    cost + graph.arc_cost[arc] + to_go[m] < fleet.cost[i]
+                    and t + graph.arc_slots[arc] + slots_to_go[m] <= graph.horizon
                 ):
                     seen += 1
                     if rng.random() * seen < 1.0:
@@ -240,7 +103,7 @@ def _random_walk(graph, fleet, i, members, size, wanted, rng):
             t += k
             cost += graph.arc_cost[chosen]
             node = m
-            if cost + graph.cost_to_go[i, node] >= fleet.cost[i]:
+            if cost + to_go[node] >= fleet.cost[i]:
                 break
     return size
 
@@ -364,7 +227,8 @@ def improve(graph, fleet, work, iterations, max_size, deviation, unserved_cost, 
             i = members[k]
             floor_cost -= graph.least_cost[i]
             room = before + slack - after - floor_cost
-            if plan_robot(graph, fleet, work, i, min(room + 1, unserved_cost)):
+            salt = 1 + int(rng.random() * SALTS)
+            if plan_robot(graph, fleet, i, min(room + 1, unserved_cost), salt):
                 occupy(graph, fleet, i, True)
             elif room - slack >= unserved_cost:
                 fleet.arrival[i] = -1
@@ -399,13 +263,4 @@ def improve(graph, fleet, work, iterations, max_size, deviation, unserved_cost, 
     return successes
 
 
-__all__ = [
-    "INFINITE",
-    "Fleet",
-    "Graph",
-    "Workspace",
-    "improve",
-    "keep_best",
-    "occupy",
-    "plan_robot",
-]
+__all__ = ["N_STRATEGIES", "Workspace", "improve", "keep_best"]
