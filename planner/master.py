@@ -224,11 +224,16 @@ class Master:
                 raise PlannerError(f"HiGHS ended the master LP with {status}; please report this")
         return bool(status == optimal)
 
-    def _add_violated_rows(self, x: NDArray[np.float64]) -> bool:
+    def activity(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(R,) how much of each resource (and cut) the columns use, weighted by x (one each)."""
         used, user = self._used[: self._n_used], self._user[: self._n_used]
         active = x[user] > 1e-9
-        activity = np.bincount(used[active], weights=x[user[active]], minlength=len(self.capacity))
-        violated = np.flatnonzero(activity > self.capacity + VIOLATED)
+        weights = x[user[active]]
+        return np.bincount(used[active], weights, len(self.capacity)).astype(np.float64)
+
+    def _add_violated_rows(self, x: NDArray[np.float64]) -> bool:
+        used, user = self._used[: self._n_used], self._user[: self._n_used]
+        violated = np.flatnonzero(self.activity(x) > self.capacity + VIOLATED)
         violated = violated[self._row_of[violated] < 0]
         if not len(violated):
             return False

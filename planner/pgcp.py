@@ -19,6 +19,7 @@ from planner.cooperative import cooperative_astar
 from planner.expanded_graph import ExpandedGraph
 from planner.master import LpSolution, Master
 from planner.plan import Path
+from planner.pricing import best_paths
 from planner.problem import Problem
 from planner.resources import SCALE, Resources
 from planner.search import Penalties, Search
@@ -137,14 +138,11 @@ def generate_paths(
         previous = lp.rows
         use = _used_by_likely_paths(state, lp)
         # 7–12: for each robot, the shortest path on G'; into Ŝ_i if its reduced cost is negative
-        new, total = [], 0
-        for i in robots:
-            phi = int(np.floor(lp.robot_dual[i] * SCALE))
-            cost, path = search.shortest(i, penalties, limit=phi + int(NEGATIVE * SCALE), use=use)
-            total += cost
-            if path is not None:
-                new.append(master.column(i, path))
-                mark(use, path)
+        phi = np.floor(lp.robot_dual[robots] * SCALE).astype(np.int64)
+        limits = phi + int(NEGATIVE * SCALE)
+        costs, paths = best_paths(search, robots, penalties, limits=limits, use=use)
+        new = [master.column(i, p) for i, p in zip(robots, paths, strict=True) if p is not None]
+        total = int(costs.sum())
         state.iterations += 1
         if proves_bound:
             # For any penalties ≥ 0, Σ_i (least penalised cost) − Σ penalty · capacity is a lower
@@ -197,18 +195,10 @@ def cooperative_pruning(
 
 def _used_by_likely_paths(state: PgcpState, lp: LpSolution) -> NDArray[np.int32]:
     """(T+1, V) int32: vertices of the paths with x ≥ 0.5; ties in pricing avoid them."""
+    likely = state.master.activity((lp.x >= 0.5).astype(np.float64))
     problem = state.resources.problem
-    use = np.zeros((problem.horizon + 1, len(problem.xy_m)), np.int32)
-    for k in np.flatnonzero(lp.x >= 0.5):
-        path = state.master.columns[int(k)].path
-        if path is not None:
-            mark(use, path)
-    return use
-
-
-def mark(use: NDArray[np.int32], path: Path) -> None:
-    """Counts the places of a path."""
-    use[np.arange(path.arrival + 1), path.vertices] += 1
+    vertices = likely[: state.resources.first_edge]
+    return vertices.reshape(problem.horizon + 1, problem.n_vertices).astype(np.int32)
 
 
 def _lap(state: PgcpState, phase: str, since: float) -> float:

@@ -162,6 +162,14 @@ class Search:
             return min(limit, INFINITE), None
         return int(cost), self.path_of(robot, self._path[:tau], first)
 
+    def workspace(
+        self, searches: int
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int32], NDArray[np.int64], int]:
+        """What `searches` runs of a kernel need: g, ties, parent, stamp, and the first stamp."""
+        first = self._now + 1
+        self._now += searches
+        return self._g, self._ties, self._parent, self._stamp, first
+
     def path_of(self, robot: int, arcs: NDArray[np.int32], first: int) -> Path:
         """The path of the arcs taken from each slot (an arc of k slots stands k times)."""
         graph = self.graph
