@@ -10,6 +10,7 @@ python -m benchmarks plot results.json -o results.png
 from __future__ import annotations
 
 import json
+import multiprocessing
 import os
 import platform
 import resource
@@ -17,6 +18,7 @@ import statistics
 import sys
 import time
 from collections import defaultdict
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -24,7 +26,8 @@ import typer
 
 from benchmarks.execution import execution
 from benchmarks.families import FAMILIES
-from benchmarks.phases import PHASES
+from benchmarks.phases import PHASES, Figures
+from planner.problem import Problem
 
 app = typer.Typer(add_completion=False, help=__doc__)
 Row = dict[str, Any]
@@ -37,6 +40,9 @@ def run(
     size: Annotated[str, typer.Option(help="only sizes that contain this text")] = "",
     seeds: Annotated[int, typer.Option(min=1)] = 3,
     smoke: Annotated[bool, typer.Option(help="one tiny case per family and phase")] = False,
+    apart: Annotated[
+        bool, typer.Option(help="a process of its own for each, so that its peak memory is its own")
+    ] = False,
     output: Annotated[Path | None, typer.Option("--output", "-o")] = None,
 ) -> None:
     """Time phases on instances; results as JSON, medians on the screen."""
@@ -57,11 +63,8 @@ def run(
                 continue
             problem = case.build()
             for what in phases:
-                began = time.perf_counter()
-                figures = PHASES[what](problem)
-                seconds = time.perf_counter() - began
                 row = {"family": case.family, "size": case.size, "seed": case.seed, "phase": what}
-                row |= {"seconds": seconds, "peak_mb": _peak_mb(), **figures}
+                row |= (_apart if apart else _timed)(PHASES[what], problem)
                 rows.append(row)
                 typer.echo(_line(row), err=True)
     result = {"machine": _machine(), "rows": rows}
@@ -155,6 +158,32 @@ def plot(results: Path, output: Annotated[Path, typer.Option("--output", "-o")])
 def _by_case(path: Path) -> dict[tuple[str, str, int, str], Row]:
     rows = json.loads(path.read_text())["rows"]
     return {(r["family"], r["size"], r["seed"], r["phase"]): r for r in rows}
+
+
+def _timed(phase: Callable[[Problem], Figures], problem: Problem) -> Row:
+    """Seconds, peak memory and figures of a phase."""
+    began = time.perf_counter()
+    figures = phase(problem)
+    return {"seconds": time.perf_counter() - began, "peak_mb": _peak_mb(), **figures}
+
+
+def _apart(phase: Callable[[Problem], Figures], problem: Problem) -> Row:
+    """The same in a process of its own: what came before counts only as far as it is still there.
+
+    Raises:
+        RuntimeError: the process ended without an answer.
+    """
+    fork = multiprocessing.get_context("fork")  # a case cannot be sent to a fresh process
+    mine, theirs = fork.Pipe(duplex=False)
+    child = fork.Process(target=lambda: theirs.send(_timed(phase, problem)))
+    child.start()
+    theirs.close()
+    try:
+        row: Row = mine.recv()
+    except EOFError as error:
+        raise RuntimeError("the process of this case ended without an answer") from error
+    child.join()
+    return row
 
 
 def _peak_mb() -> float:

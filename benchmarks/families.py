@@ -11,6 +11,9 @@ from planner.problem import Problem
 ROOT = Path(__file__).resolve().parents[1]
 MOVINGAI = ROOT.parent / "shared" / "data" / "movingai"
 
+WAREHOUSES = {50: (6, 2), 100: (10, 2), 200: (13, 4), 500: (20, 6)}
+"""Racks across and along the floor, by robots."""
+
 
 @dataclass(frozen=True)
 class Case:
@@ -70,6 +73,52 @@ def growing_hall(n: int, seed: int) -> Problem:
     )
 
 
+def warehouse(n: int, seed: int) -> Problem:
+    """`worlds/warehouse_day.toml` on a floor that grows with the fleet.
+
+    About one rack for every four robots and an AP for every eight to twelve, of 20 places each: 6
+    APs for 50 robots, 42 for 500.
+    """
+    from twin.instance import open_instance
+
+    columns, rows = WAREHOUSES[n]
+    width, depth = 7.2 * columns + 4.8, 15.0 * rows + 6.0
+    racks = [
+        {
+            "name": f"rack {i} {j}",
+            "center_m": [6 + 7.2 * i, 10.5 + 15 * j],
+            "size_m": [2.6, 11.6],
+            "height_m": 3.0,
+        }
+        for i in range(columns)
+        for j in range(rows)
+    ]
+    across = round(width / 24)
+    aps = [
+        {
+            "id": f"ap{i}.{j}",
+            "position_m": [
+                width * (2 * i + 1) / (2 * across),
+                min(max(15.0 * j + 3.0, 2.2), depth - 2.2),
+                6.0,
+            ],
+        }
+        for i in range(across)
+        for j in range(rows + 1)
+    ]
+    values: dict[str, object] = {
+        "hall.size_m": [width, depth],
+        "obstacle": racks,
+        "ap": aps,
+        "event": [],
+        "radio.ap_capacity": 20,
+        "robots.random.count": n,
+        "plan.horizon": round((width + depth) / 1.5) + 40,
+    }
+    path = ROOT / "worlds" / "warehouse_day.toml"
+    return open_instance(path, overrides=values, seed=seed).problem
+
+
 def movingai(name: str, agents: int) -> Problem:
     """A MovingAI scenario (its first `agents` rows); the files are not part of this project."""
     from planner.mapf import mapf_problem
@@ -117,6 +166,13 @@ def growth(smoke: bool, seeds: int) -> Iterator[Case]:
             yield Case("growth", f"N={n}", seed, lambda n=n, seed=seed: growing_hall(n, seed))  # type: ignore[misc]
 
 
+def warehouses(smoke: bool, seeds: int) -> Iterator[Case]:
+    """Warehouse floors that grow with the fleet."""
+    for n in (50,) if smoke else WAREHOUSES:
+        for seed in range(1, min(seeds, 3) + 1):
+            yield Case("warehouse", f"N={n}", seed, lambda n=n, seed=seed: warehouse(n, seed))  # type: ignore[misc]
+
+
 def movingai_maps(smoke: bool, _seeds: int) -> Iterator[Case]:
     """The scenarios with which design page 4 compares its peers; none where they are absent."""
     if not MOVINGAI.is_dir():
@@ -136,5 +192,6 @@ FAMILIES: dict[str, Callable[[bool, int], Iterator[Case]]] = {
     "paper_hall": paper_hall,
     "park": park,
     "growth": growth,
+    "warehouse": warehouses,
     "movingai": movingai_maps,
 }

@@ -46,15 +46,26 @@ class Reservations:
 
 
 def cooperative_astar(
-    search: Search, resources: Resources, order: Iterable[int]
+    search: Search,
+    resources: Resources,
+    order: Iterable[int],
+    *,
+    stop: Callable[[], bool] = lambda: False,
 ) -> list[Path | None]:
-    """Plans the robots in `order`, each by A* around the reservations of those before it.
+    """Plans the robots in `order`, each around those before it.
+
+    Args:
+        search, resources: of the problem.
+        order: of the robots.
+        stop: asked before every robot; True ends it.
 
     Returns:
         One path per robot, None for robots that found no way (and for robots not in `order`).
     """
     fleet = FleetPlan(search)
     for robot in order:
+        if stop():
+            break
         fleet.plan(robot)
     return fleet.paths()
 
@@ -69,6 +80,12 @@ def cooperative_with_restarts(
 ) -> list[Path | None]:
     """Cooperative A* over up to 1 + `restarts` orders: the given one first, then failures first.
 
+    Args:
+        search, resources: of the problem.
+        restarts: orders after the first one, while a robot finds no way.
+        rng: makes the orders.
+        stop: asked after the first order and before every robot of the others; True ends it.
+
     Returns:
         The paths of the first order that serves every robot, else of the one that serves most.
     """
@@ -76,8 +93,9 @@ def cooperative_with_restarts(
     order: Sequence[int] = range(n)
     best: list[Path | None] = [None] * n
     served = -1
-    for _ in range(1 + restarts):
-        paths = cooperative_astar(search, resources, order)
+    for attempt in range(1 + restarts):
+        again = {"stop": stop} if attempt else {}
+        paths = cooperative_astar(search, resources, order, **again)
         failed = [i for i in range(n) if paths[i] is None]
         if n - len(failed) > served:
             best, served = paths, n - len(failed)

@@ -13,6 +13,7 @@ from itertools import combinations
 import numpy as np
 
 from planner import kernels
+from planner.ap_room import prove_no_room
 from planner.expanded_graph import ExpandedGraph
 from planner.explanation import (
     AloneFault,
@@ -69,7 +70,9 @@ def explain(
     if not alone:
         on_step("bottleneck")
         known = [(i, path) for i, path in enumerate(plan.paths) if path is not None]
-        proof = prove_infeasible(search, resources, known, stop=stop)
+        proof = prove_no_room(resources)
+        if proof is None:
+            proof = prove_infeasible(search, resources, known, stop=stop)
         if proof is not None:
             bottleneck = _bottleneck(resources, proof)
         elif not stop():

@@ -1,10 +1,11 @@
 """Large neighbourhood search (MAPF-LNS2: Li et al., AAAI 2022, DOI 10.1609/aaai.v36i9.21266).
 
 Again and again a few robots are taken out of the plan and planned anew in random order around the
-others by A*; the result is kept unless it is worse. Neighbourhoods are chosen adaptively among:
-robots in the way of one that is far above its least cost (random walk), robots that pass one place
-at about the same time, robots that share an AP in one slot, and random ones. A robot without a path
-counts more than all paths together, so the same loop serves those who are left out, and drops none.
+others (`planner.kernels_fleet`), at random among paths of equal cost; the result is kept unless it
+is worse. Neighbourhoods are chosen adaptively among: robots in the way of one that is far above its
+least cost (random walk), robots that pass one place at about the same time, robots that share an AP
+in one slot, and random ones. A robot without a path counts more than all paths together, so the
+same loop serves those who are left out, and drops none.
 """
 
 from __future__ import annotations

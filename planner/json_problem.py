@@ -250,7 +250,12 @@ def dump_problem(problem: Problem) -> str:
     }
     cover, handover = edge_cover_of_ends(problem.cover, problem.edge_uv)
     vertices = [_vertex(problem, v) for v in range(problem.n_vertices)]
-    edges = [_edge(problem, e, cover[e], handover[e]) for e in range(problem.n_edges)]
+    as_ends = (problem.edge_cover == cover).all(axis=1)
+    all_pairs = (problem.edge_handover == handover).all(axis=(1, 2))
+    edges = [
+        _edge(problem, e, whole=whole, free=free)
+        for e, (whole, free) in enumerate(zip(as_ends.tolist(), all_pairs.tolist(), strict=True))
+    ]
     robots = [
         {"id": name, "start": start, "goal": goal}
         for name, start, goal in zip(
@@ -273,21 +278,23 @@ def _vertex(problem: Problem, v: int) -> dict[str, object]:
     return vertex
 
 
-def _edge(
-    problem: Problem, e: int, cover: NDArray[np.bool_], handover: NDArray[np.bool_]
-) -> dict[str, object]:
+def _edge(problem: Problem, e: int, *, whole: bool, free: bool) -> dict[str, object]:
+    """An edge; `whole`: the APs of both ends cover it, `free`: all handovers are allowed."""
     u, v = problem.edge_uv[e].tolist()
     edge: dict[str, object] = {"u": u, "v": v}
-    if not np.array_equal(problem.edge_cover[e], cover):
+    if not whole:
         edge["aps"] = np.flatnonzero(problem.edge_cover[e]).tolist()
     if problem.edge_slots[e] != 1:
         edge["slots"] = int(problem.edge_slots[e])
-    if not np.array_equal(problem.edge_handover[e], handover):
+    if not free:
         edge["handovers"] = np.argwhere(problem.edge_handover[e]).tolist()
     if problem.edge_oneway[e]:
         edge["oneway"] = True
     return edge
 
 
+_ENCODER = json.JSONEncoder(ensure_ascii=False, allow_nan=False)
+
+
 def _json(value: object) -> str:
-    return json.dumps(value, ensure_ascii=False, allow_nan=False)
+    return _ENCODER.encode(value)

@@ -12,6 +12,7 @@ from numba import njit
 
 INFINITE = np.int64(1) << 60
 BLOCKED = np.int64(1) << 52
+MANY_BUCKETS = 4096
 
 
 @njit(cache=True, nogil=True)
@@ -59,6 +60,50 @@ def distances(ptr, arc, tail, weight, sources, n_nodes):
     """
     dist = np.full(n_nodes, INFINITE)
     capacity = len(tail) + len(sources) + 1
+    most = weight.max() if len(weight) > 0 else 0
+    if most < MANY_BUCKETS:
+        _by_buckets(ptr, arc, tail, weight, sources, dist, most + 1, capacity)
+    else:
+        _by_heap(ptr, arc, tail, weight, sources, dist, capacity)
+    return dist
+
+
+@njit(cache=True, nogil=True)
+def _by_buckets(ptr, arc, tail, weight, sources, dist, n_buckets, capacity):
+    """Small integer weights: nodes wait in a ring of buckets, one per distance (Dial, 1969)."""
+    first = np.full(n_buckets, -1, np.int64)
+    after = np.empty(capacity, np.int64)
+    item = np.empty(capacity, np.int64)
+    made = waiting = d = 0
+    for s in sources:
+        dist[s] = 0
+        item[made], after[made], first[0] = s, first[0], made
+        made += 1
+        waiting += 1
+    while waiting > 0:
+        k = first[d % n_buckets]
+        if k < 0:
+            d += 1
+            continue
+        first[d % n_buckets] = after[k]
+        waiting -= 1
+        n = item[k]
+        if dist[n] < d:
+            continue
+        for j in range(ptr[n], ptr[n + 1]):
+            e = arc[j]
+            m = tail[e]
+            there = d + weight[e]
+            if there < dist[m]:
+                dist[m] = there
+                b = there % n_buckets
+                item[made], after[made], first[b] = m, first[b], made
+                made += 1
+                waiting += 1
+
+
+@njit(cache=True, nogil=True)
+def _by_heap(ptr, arc, tail, weight, sources, dist, capacity):
     key = np.empty(capacity, np.int64)
     tie = np.zeros(capacity, np.int64)
     item = np.empty(capacity, np.int64)
@@ -84,7 +129,6 @@ def distances(ptr, arc, tail, weight, sources, n_nodes):
                 key[size], item[size] = dist[m], m
                 size += 1
                 _sift_up(key, tie, item, size - 1)
-    return dist
 
 
 @njit(cache=True, nogil=True)

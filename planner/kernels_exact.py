@@ -12,6 +12,88 @@ from planner.kernels import BLOCKED, INFINITE
 
 
 @njit(cache=True, nogil=True)
+def costs_behind(
+    horizon,
+    arc_ptr,
+    arc_to,
+    arc_move,
+    arc_slots,
+    arc_cost,
+    node_vertex,
+    node_ap,
+    goal_nodes,
+    scale,
+    pv,
+    pm,
+    pa,
+    forbidden,
+    park,
+    earliest,
+    latest,
+    at_arrival,
+):
+    """The least penalised cost from each state of G' to a robot's arrival.
+
+    One sweep over the slots, back from the destination.
+
+    Args:
+        horizon, arc_*, node_*, scale, pv, pm, pa, forbidden, park, earliest, latest, at_arrival:
+            as for `kernels.astar`.
+        goal_nodes: nodes of the destination.
+
+    Returns:
+        (T+1, n) int64, the penalties of the state itself not included; and (T+1, goal nodes) int64
+        the cost of arriving at one in a slot, parking included. At least INFINITE where it cannot.
+    """
+    n_nodes = len(node_vertex)
+    last = min(latest, horizon)
+    with_forbidden = forbidden.shape[0] > 0
+    with_amid = forbidden.shape[1] > n_nodes
+    behind = np.full((horizon + 1, n_nodes), INFINITE)
+    ending = np.full((horizon + 1, len(goal_nodes)), INFINITE)
+    rest = np.zeros(pa.shape[1], np.int64)
+    for t in range(horizon, -1, -1):
+        if park and t < horizon and len(goal_nodes) > 0:
+            v = node_vertex[goal_nodes[0]]
+            wait = pm.shape[1] - pv.shape[1] + v
+            for n in goal_nodes:
+                a = node_ap[n]
+                rest[a] = min(rest[a] + pv[t + 1, v] + pa[t + 1, a] + pm[t, wait], BLOCKED)
+                if with_forbidden and forbidden[t + 1, n]:
+                    rest[a] = BLOCKED
+        if t > last:
+            continue
+        for k in range(len(goal_nodes)):
+            n = goal_nodes[k]
+            arriving = rest[node_ap[n]]
+            if len(at_arrival) > 0:
+                arriving += at_arrival[t]
+            if t >= earliest and arriving < BLOCKED:
+                if not (with_forbidden and forbidden[t, n]):
+                    ending[t, k] = arriving
+                    behind[t, n] = arriving
+        for n in range(n_nodes):
+            if with_forbidden and forbidden[t, n]:
+                continue
+            best = behind[t, n]
+            for arc in range(arc_ptr[n], arc_ptr[n + 1]):
+                k = arc_slots[arc]
+                m = arc_to[arc]
+                if t + k > last or behind[t + k, m] >= INFINITE:
+                    continue
+                step = pv[t + k, node_vertex[m]] + pa[t + k, node_ap[m]] + pm[t, arc_move[arc]]
+                for j in range(1, k):
+                    step += pm[t + j, arc_move[arc]] + pa[t + j, node_ap[n]]
+                    if with_amid and forbidden[t + j, n_nodes + node_ap[n]]:
+                        step = BLOCKED
+                if step >= BLOCKED:
+                    continue
+                best = min(best, behind[t + k, m] + arc_cost[arc] * scale + step)
+            behind[t, n] = best
+    return behind, ending
+
+
+@njit(cache=True, nogil=True)
 def costs_through(
     horizon,
     arc_ptr,
@@ -27,16 +109,19 @@ def costs_through(
     pv,
     pm,
     pa,
+    forbidden,
     park,
     latest,
     at_arrival,
 ):
     """The least penalised cost of a robot's paths through each state of G'.
 
-    Two sweeps over the slots, one from the origin and one back from the destination.
+    Two sweeps over the slots, one back from the destination (`costs_behind`) and one from the
+    origin.
 
     Args:
-        horizon, arc_*, node_*, scale, pv, pm, pa, park, latest, at_arrival: as for `astar`.
+        horizon, arc_*, node_*, scale, pv, pm, pa, forbidden, park, latest, at_arrival: as for
+            `kernels.astar`.
         start_nodes, goal_nodes: nodes of the origin and of the destination.
 
     Returns:
@@ -45,19 +130,35 @@ def costs_through(
     """
     n_nodes = len(node_vertex)
     last = min(latest, horizon)
+    with_amid = forbidden.shape[1] > n_nodes
+    behind, ending = costs_behind(
+        horizon,
+        arc_ptr,
+        arc_to,
+        arc_move,
+        arc_slots,
+        arc_cost,
+        node_vertex,
+        node_ap,
+        goal_nodes,
+        scale,
+        pv,
+        pm,
+        pa,
+        forbidden,
+        park,
+        0,
+        latest,
+        at_arrival,
+    )
     before = np.full((horizon + 1, n_nodes), INFINITE)
-    behind = np.full((horizon + 1, n_nodes), INFINITE)
-    arriving = np.full(horizon + 1, INFINITE)
-    arrived = np.full((horizon + 1, len(goal_nodes)), INFINITE)
-    is_goal = np.zeros(n_nodes, np.bool_)
-    for n in goal_nodes:
-        is_goal[n] = True
     for n in start_nodes:
         if pa[0, node_ap[n]] < BLOCKED:
             before[0, n] = pa[0, node_ap[n]]
     for t in range(last):
         for n in range(n_nodes):
-            if before[t, n] >= INFINITE:
+            # A state from which the goal is out of reach is on no path: forbidden ones are such.
+            if before[t, n] >= INFINITE or behind[t, n] >= INFINITE:
                 continue
             for arc in range(arc_ptr[n], arc_ptr[n + 1]):
                 k = arc_slots[arc]
@@ -67,58 +168,30 @@ def costs_through(
                 step = pv[t + k, node_vertex[m]] + pa[t + k, node_ap[m]] + pm[t, arc_move[arc]]
                 for j in range(1, k):
                     step += pm[t + j, arc_move[arc]] + pa[t + j, node_ap[n]]
+                    if with_amid and forbidden[t + j, n_nodes + node_ap[n]]:
+                        step = BLOCKED
                 if step >= BLOCKED:
                     continue
                 cost = before[t, n] + arc_cost[arc] * scale + step
                 if cost < before[t + k, m]:
                     before[t + k, m] = cost
-    rest = np.zeros(pa.shape[1], np.int64)
-    for t in range(horizon, -1, -1):
-        if park and t < horizon and len(goal_nodes) > 0:
-            v = node_vertex[goal_nodes[0]]
-            wait = pm.shape[1] - pv.shape[1] + v
-            for n in goal_nodes:
-                a = node_ap[n]
-                rest[a] = min(rest[a] + pv[t + 1, v] + pa[t + 1, a] + pm[t, wait], BLOCKED)
-        if t > last:
-            continue
-        for n in range(n_nodes):
-            best = INFINITE
-            if is_goal[n] and rest[node_ap[n]] < BLOCKED:
-                best = rest[node_ap[n]]
-                if len(at_arrival) > 0:
-                    best += at_arrival[t]
-                if before[t, n] < INFINITE:
-                    arriving[t] = min(arriving[t], before[t, n] + best)
-                    for k in range(len(goal_nodes)):
-                        if goal_nodes[k] == n:
-                            arrived[t, k] = before[t, n] + best
-            for arc in range(arc_ptr[n], arc_ptr[n + 1]):
-                k = arc_slots[arc]
-                m = arc_to[arc]
-                if t + k > last or behind[t + k, m] >= INFINITE:
-                    continue
-                step = pv[t + k, node_vertex[m]] + pa[t + k, node_ap[m]] + pm[t, arc_move[arc]]
-                for j in range(1, k):
-                    step += pm[t + j, arc_move[arc]] + pa[t + j, node_ap[n]]
-                if step >= BLOCKED:
-                    continue
-                best = min(best, behind[t + k, m] + arc_cost[arc] * scale + step)
-            behind[t, n] = best
+    arriving = np.full(horizon + 1, INFINITE)
     parked = np.full((horizon + 1, len(goal_nodes)), INFINITE)
-    if park:
+    for k in range(len(goal_nodes)):
+        n = goal_nodes[k]
+        for t in range(last + 1):
+            if before[t, n] < INFINITE and ending[t, k] < INFINITE:
+                total = before[t, n] + ending[t, k]
+                arriving[t] = min(arriving[t], total)
+                if park:
+                    parked[t, k] = total
         # Who has arrived passes the goal's states up to T.
-        for k in range(len(goal_nodes)):
-            n = goal_nodes[k]
-            for t in range(horizon + 1):
-                if t > 0:
-                    parked[t, k] = parked[t - 1, k]
-                if t <= last and arrived[t, k] < parked[t, k]:
-                    parked[t, k] = arrived[t, k]
+        for t in range(1, horizon + 1):
+            parked[t, k] = min(parked[t, k], parked[t - 1, k])
     for t in range(horizon + 1):
         for n in range(n_nodes):
             if before[t, n] < INFINITE:
-                before[t, n] += behind[t, n]
+                before[t, n] = min(before[t, n] + behind[t, n], INFINITE)
     for k in range(len(goal_nodes)):
         for t in range(horizon + 1):
             before[t, goal_nodes[k]] = min(before[t, goal_nodes[k]], parked[t, k])

@@ -244,7 +244,8 @@ def plan_robot(graph, fleet, i, limit, salt):
             _sift_down(key, tie, item, size)
         if labels[label, DEAD]:
             continue
-        t, w, n = labels[label, SLOT], labels[label, EXTRA], labels[label, NODE]
+        t, w = labels[label, SLOT], labels[label, EXTRA]
+        n = labels[label, NODE]
         end = labels[label, END]
         if graph.node_vertex[n] == goal_vertex and (end == T or not graph.park):
             fleet.arrival[i] = t
@@ -264,7 +265,7 @@ def plan_robot(graph, fleet, i, limit, salt):
             m = graph.arc_to[arc]
             if m == n and arc == graph.wait_arc[n]:
                 continue
-            k = np.int64(graph.arc_slots[arc])
+            k = graph.arc_slots[arc]
             e = graph.arc_move[arc] >> 1
             crosses = graph.arc_move[arc] < 2 * graph.n_edges
             v, b = graph.node_vertex[m], graph.node_ap[m]

@@ -82,6 +82,8 @@ class Master:
         # Cuts are numbered on from the resources, and are rows "activity ≤ capacity" as they are.
         self.capacity: NDArray[np.int32] = resources.capacity
         self._row_of = np.full(resources.n, -1, np.int64)
+        # Between uses all 0, and all −1.
+        self._activity, self._which = np.zeros(resources.n), np.full(resources.n, -1, np.int64)
         self._rows: list[int] = []
         self._used = np.empty(1 << 14, np.int64)  # resources of all columns, end to end
         self._user = np.empty(1 << 14, np.int64)  # and the column each belongs to
@@ -224,16 +226,20 @@ class Master:
                 raise PlannerError(f"HiGHS ended the master LP with {status}; please report this")
         return bool(status == optimal)
 
-    def activity(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(R,) how much of each resource (and cut) the columns use, weighted by x (one each)."""
-        used, user = self._used[: self._n_used], self._user[: self._n_used]
-        active = x[user] > 1e-9
-        weights = x[user[active]]
-        return np.bincount(used[active], weights, len(self.capacity)).astype(np.float64)
+    def activity(self, x: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """Resources and cuts that columns of x > 0 use, once for each, and that column's x."""
+        user = self._user[: self._n_used]
+        active = np.flatnonzero(x[user] > 1e-9)
+        return self._used[active], x[user[active]]
 
     def _add_violated_rows(self, x: NDArray[np.float64]) -> bool:
         used, user = self._used[: self._n_used], self._user[: self._n_used]
-        violated = np.flatnonzero(self.activity(x) > self.capacity + VIOLATED)
+        numbers, shares = self.activity(x)
+        # Of millions of resources a few thousand are used: nothing here takes time for the others.
+        np.add.at(self._activity, numbers, shares)
+        over = self._activity[numbers] > self.capacity[numbers] + VIOLATED
+        self._activity[numbers] = 0.0
+        violated = np.unique(numbers[over])
         violated = violated[self._row_of[violated] < 0]
         if not len(violated):
             return False
@@ -265,9 +271,9 @@ class Master:
         A robot crossing a one-lane passage uses vertices and edges in lockstep, so such twins are
         common, and the LP is the faster the less degenerate it is.
         """
-        which = np.full(len(self.capacity), -1, np.int64)
-        which[rows] = np.arange(len(rows))
-        member = which[used]
+        self._which[rows] = np.arange(len(rows))
+        member = self._which[used]
+        self._which[rows] = -1
         there = member >= 0
         while len(self._column_hash) < len(self.columns) + 1:
             more = self._hash_rng.integers(0, 1 << 62, len(self._column_hash), np.int64)
@@ -297,7 +303,10 @@ class Master:
         """
         first = len(self.capacity)
         self.capacity = np.concatenate((self.capacity, capacity.astype(np.int32)))
-        self._row_of = np.concatenate((self._row_of, np.full(len(capacity), -1, np.int64)))
+        none = np.full(len(capacity), -1, np.int64)
+        self._row_of = np.concatenate((self._row_of, none))
+        self._which = np.concatenate((self._which, none))
+        self._activity = np.concatenate((self._activity, np.zeros(len(capacity))))
         ids = first + np.arange(len(capacity))
         for k, columns in zip(ids.tolist(), members, strict=True):
             self._remember(columns, np.full(len(columns), k))

@@ -27,6 +27,9 @@ from planner.search import Penalties, Search
 NEGATIVE = -1e-6
 """A path prices out when its reduced cost is below this (in cost units)."""
 
+PRICED_AT_ONCE = 8
+"""Robots priced between two questions whether to hurry."""
+
 
 @dataclass
 class PgcpState:
@@ -41,6 +44,7 @@ class PgcpState:
         lp_value: value of the master at the end of path generation, None if not reached.
         iterations: rounds of pricing.
         seconds: per phase.
+        lp_seconds: that the last LP took.
     """
 
     graph: ExpandedGraph
@@ -54,6 +58,7 @@ class PgcpState:
     lp_value: float | None = None
     iterations: int = 0
     seconds: dict[str, float] = field(default_factory=dict)
+    lp_seconds: float = 0.0
 
 
 def artificial_cost(problem: Problem) -> float:
@@ -65,12 +70,14 @@ def pgcp(
     problem: Problem,
     *,
     stop: Callable[[PgcpState], bool] = lambda _state: False,
+    hurry: Callable[[], bool] = lambda: False,
 ) -> tuple[list[Path | None], PgcpState]:
     """Algorithm 1.
 
     Args:
         problem: the instance; every robot must reach its goal when alone on the floor.
         stop: asked after every round of pricing; True ends path generation early.
+        hurry: asked every few robots; True ends it at once.
 
     Returns:
         One path per robot (None where the artificial path stayed), and the final state.
@@ -94,11 +101,11 @@ def pgcp(
     clock = _lap(state, "cooperative", clock)
 
     # Path generation, 4–13
-    state.lp_value = generate_paths(state, robots, stop=stop)
+    state.lp_value = generate_paths(state, robots, stop=stop, hurry=hurry)
     clock = _lap(state, "path_generation", clock)
 
     # Cooperative pruning, 14–24
-    chosen = cooperative_pruning(state, stop=stop)
+    chosen = cooperative_pruning(state, stop=stop, hurry=hurry)
     _lap(state, "cooperative_pruning", clock)
     return chosen, state
 
@@ -110,6 +117,7 @@ def generate_paths(
     stop: Callable[[PgcpState], bool] = lambda _state: False,
     proves_bound: bool = True,
     complete: bool = True,
+    hurry: Callable[[], bool] = lambda: False,
 ) -> float | None:
     """Lines 4–13: adds the best path of each robot until none has a negative reduced cost.
 
@@ -120,6 +128,7 @@ def generate_paths(
         proves_bound: whether no column was deleted yet, so that the bound holds for the problem.
         complete: whether every LP is solved over all rows, as printed, before its duals are used;
             if not, rows and columns come in together: the same end in fewer LPs.
+        hurry: asked every few robots; True leaves the round as it is.
 
     Returns:
         Value of the master LP when nothing prices out any more [cost units]; None if `stop` ended
@@ -131,7 +140,9 @@ def generate_paths(
     previous = np.empty(0, np.int64)
     while True:
         # 5, 6: solve the master; add π, γ, λ to the edge costs of G'
+        began = time.perf_counter()
         lp = master.solve(complete=complete)
+        state.lp_seconds = time.perf_counter() - began
         penalty = lp.penalty()
         penalties.set(previous, np.int64(0))
         penalties.set(lp.rows, penalty)
@@ -140,9 +151,15 @@ def generate_paths(
         # 7–12: for each robot, the shortest path on G'; into Ŝ_i if its reduced cost is negative
         phi = np.floor(lp.robot_dual[robots] * SCALE).astype(np.int64)
         limits = phi + int(NEGATIVE * SCALE)
-        costs, paths = best_paths(search, robots, penalties, limits=limits, use=use)
-        new = [master.column(i, p) for i, p in zip(robots, paths, strict=True) if p is not None]
-        total = int(costs.sum())
+        new, total = [], 0
+        for begin in range(0, len(robots), PRICED_AT_ONCE):
+            if hurry():
+                return None
+            some = slice(begin, begin + PRICED_AT_ONCE)
+            costs, paths = best_paths(search, robots[some], penalties, limits=limits[some], use=use)
+            priced = zip(robots[some], paths, strict=True)
+            new += [master.column(i, path) for i, path in priced if path is not None]
+            total += int(costs.sum())
         state.iterations += 1
         if proves_bound:
             # For any penalties ≥ 0, Σ_i (least penalised cost) − Σ penalty · capacity is a lower
@@ -164,6 +181,7 @@ def cooperative_pruning(
     state: PgcpState,
     *,
     stop: Callable[[PgcpState], bool] = lambda _state: False,
+    hurry: Callable[[], bool] = lambda: False,
 ) -> list[Path | None]:
     """Lines 14–24 and section IV-C: one robot after another is left with one path.
 
@@ -185,7 +203,7 @@ def cooperative_pruning(
                 break
             # 21: repeat steps 8–11
             before = len(master.columns)
-            generate_paths(state, sorted(open_robots), stop=stop, proves_bound=False)
+            generate_paths(state, sorted(open_robots), stop=stop, proves_bound=False, hurry=hurry)
             if len(master.columns) == before or stop(state):
                 master.keep_only(i, best)
                 break
@@ -195,10 +213,10 @@ def cooperative_pruning(
 
 def _used_by_likely_paths(state: PgcpState, lp: LpSolution) -> NDArray[np.int32]:
     """(T+1, V) int32: vertices of the paths with x ≥ 0.5; ties in pricing avoid them."""
-    likely = state.master.activity((lp.x >= 0.5).astype(np.float64))
-    problem = state.resources.problem
-    vertices = likely[: state.resources.first_edge]
-    return vertices.reshape(problem.horizon + 1, problem.n_vertices).astype(np.int32)
+    problem, first_edge = state.resources.problem, state.resources.first_edge
+    numbers, _ = state.master.activity((lp.x >= 0.5).astype(np.float64))
+    use = np.bincount(numbers[numbers < first_edge], minlength=first_edge)
+    return use.reshape(problem.horizon + 1, problem.n_vertices).astype(np.int32)
 
 
 def _lap(state: PgcpState, phase: str, since: float) -> float:

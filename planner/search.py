@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from planner import kernels
 from planner.expanded_graph import ExpandedGraph
+from planner.parallel import each
 from planner.plan import Path
 from planner.problem import Problem
 from planner.resources import BLOCKED, SCALE, Resources
@@ -212,16 +213,15 @@ def static_distances(graph: ExpandedGraph) -> tuple[Distances, ...]:
     problem = graph.problem
     ptr, arc = graph.reversed_arcs
     slots = graph.arc_slots.astype(np.int64)
-    known: dict[int, Distances] = {}
-    for goal in problem.goal:
-        if int(goal) in known:
-            continue
-        sources = graph.nodes_at(int(goal))
-        args = (sources, graph.n_nodes)
+    goals = list(dict.fromkeys(problem.goal.tolist()))
+
+    def to(goal: int) -> Distances:
+        args = (graph.nodes_at(goal), graph.n_nodes)
         cost = kernels.distances(ptr, arc, graph.arc_from, graph.arc_cost, *args)
         least = kernels.distances(ptr, arc, graph.arc_from, slots, *args)
-        least = np.minimum(least, problem.horizon + 1).astype(np.int32)
-        known[int(goal)] = Distances(cost, least)
+        return Distances(cost, np.minimum(least, problem.horizon + 1).astype(np.int32))
+
+    known = dict(zip(goals, each(to, goals), strict=True))
     return tuple(known[int(goal)] for goal in problem.goal)
 
 

@@ -34,6 +34,19 @@ def test_smoke_run_compares_with_itself(tmp_path: Path) -> None:
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
+def test_a_process_of_its_own(tmp_path: Path) -> None:
+    """`--apart` gives the same figures, and a peak memory that is the case's own."""
+    out = tmp_path / "results.json"
+    chosen = ["--family", "warehouse", "--phase", "path_generation", "-o", str(out)]
+    values = []
+    for more in ([], ["--apart"]):
+        _run("run", "--smoke", *chosen, *more)
+        (row,) = json.loads(out.read_text())["rows"]
+        assert row["peak_mb"] > 10
+        values.append(row["lp_value"])
+    assert values[0] == values[1]
+
+
 def test_unknown_names_are_refused() -> None:
     """A family or phase that does not exist is answered with those that do."""
     result = CliRunner().invoke(app, ["run", "--family", "paper"])

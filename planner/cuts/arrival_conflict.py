@@ -31,7 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner import kernels_exact
-from planner.cuts.pairs import interacting_pairs, neighbours
+from planner.cuts.pairs import interacting_pairs, neighbours, partners, sweep_ends
 from planner.master import Column
 from planner.parallel import each
 from planner.problem import Problem
@@ -98,7 +98,6 @@ class PairConflicts:
 
     def _sweep(self, pair: tuple[int, int]) -> NDArray[np.int32]:
         problem, (i, j) = self.problem, pair
-        ends = np.array([problem.start[i], problem.goal[i], problem.start[j], problem.goal[j]])
         found: NDArray[np.int32] = kernels_exact.pair_frontier(
             problem.horizon,
             *self._neighbours,
@@ -107,7 +106,7 @@ class PairConflicts:
             self.arrives[i],
             self.arrives[j],
             self.room,
-            ends.astype(np.int32),
+            sweep_ends(problem, pair),
             problem.at_goal == "park",
             MAX_STEPS,
         )
@@ -152,10 +151,7 @@ def separate(
         if path is not None:
             by[columns[k].robot, path.arrival :] += x[k]
     pairs = interacting_pairs(columns, x, resources)
-    near: dict[int, set[int]] = {}
-    for i, j in pairs:
-        near.setdefault(i, set()).add(j)
-        near.setdefault(j, set()).add(i)
+    near = partners(pairs)
     found: list[tuple[float, ArrivalConflictCut]] = []
     conflicts.find_out(pairs, stop)
     for i, j in pairs:

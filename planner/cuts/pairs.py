@@ -35,20 +35,77 @@ def interacting_pairs(
     columns: list[Column], x: NDArray[np.float64], resources: Resources
 ) -> list[tuple[int, int]]:
     """Pairs of robots with paths of x > 0 that cannot both be in a plan, in order."""
-    pairs: set[tuple[int, int]] = set()
     positive = [k for k in np.flatnonzero(x > 1e-6).tolist() if columns[k].path is not None]
     if not positive:
         return []
-    used = np.concatenate([columns[k].used for k in positive])
-    user = np.concatenate([np.full(len(columns[k].used), columns[k].robot) for k in positive])
-    scarce = used < resources.first_ap  # vertices and edges
-    order = np.lexsort((user[scarce], used[scarce]))
-    used, user = used[scarce][order], user[scarce][order]
-    if not len(used):
+    robots, row = np.unique([columns[k].robot for k in positive], return_inverse=True)
+    meet = _meeting([columns[k] for k in positive], row, resources)
+    first, second = np.nonzero(np.triu(meet, 1))
+    return list(zip(robots[first].tolist(), robots[second].tolist(), strict=True))
+
+
+def _meeting(
+    columns: list[Column], row: NDArray[np.int64], resources: Resources
+) -> NDArray[np.bool_]:
+    """(rows, rows) bool: columns of the two rows use one vertex or edge in one slot."""
+    used = [column.used[column.used < resources.first_ap] for column in columns]
+    n = int(row.max()) + 1
+    both = np.concatenate(used) * n + np.repeat(row, [len(u) for u in used])
+    resource, user = np.divmod(np.unique(both), n)
+    meet = np.zeros((n, n), np.bool_)
+    for apart in range(1, len(user)):
+        same = resource[apart:] == resource[:-apart]
+        if not same.any():
+            break
+        meet[user[:-apart][same], user[apart:][same]] = True
+    return meet | meet.T
+
+
+def partners(pairs: list[tuple[int, int]]) -> dict[int, set[int]]:
+    """The robots that each one is paired with."""
+    near: dict[int, set[int]] = {}
+    for i, j in pairs:
+        near.setdefault(i, set()).add(j)
+        near.setdefault(j, set()).add(i)
+    return near
+
+
+def positive_by_robot(columns: list[Column], x: NDArray[np.float64]) -> dict[int, list[int]]:
+    """Real columns of x > 0, by robot, in order."""
+    mine: dict[int, list[int]] = {}
+    for k in np.flatnonzero(x > 1e-6).tolist():
+        if columns[k].path is not None:
+            mine.setdefault(columns[k].robot, []).append(k)
+    return mine
+
+
+def sweep_ends(problem: Problem, pair: tuple[int, int]) -> NDArray[np.int32]:
+    """(4,) int32: start and goal of the one, start and goal of the other, as the sweeps take it."""
+    i, j = pair
+    ends = [problem.start[i], problem.goal[i], problem.start[j], problem.goal[j]]
+    return np.array(ends, np.int32)
+
+
+def clashing_pairs(
+    columns: list[Column], x: NDArray[np.float64], resources: Resources, most: int
+) -> list[tuple[int, int]]:
+    """Pairs of robots with more than one path of x > 0 each that exclude each other most, in order.
+
+    How much is Σ x_p x_q over their pairs of paths that use one vertex or edge in one slot: the
+    chance of a clash if each drew its path by x.
+    """
+    mine = {i: ks for i, ks in positive_by_robot(columns, x).items() if len(ks) > 1}
+    users = [k for ks in mine.values() for k in ks]
+    if not users:
         return []
-    low = np.flatnonzero(np.diff(used, prepend=-1))
-    for begin, end in zip(low.tolist(), [*low[1:].tolist(), len(used)], strict=True):
-        if end - begin > 1:
-            robots = sorted(set(user[begin:end].tolist()))
-            pairs.update((i, j) for n, i in enumerate(robots) for j in robots[n + 1 :])
-    return sorted(pairs)
+    meet = _meeting([columns[k] for k in users], np.arange(len(users)), resources)
+    clash = meet * np.outer(x[users], x[users])
+    # Summed over the paths of each robot.
+    first = np.cumsum([0, *(len(ks) for ks in mine.values())][:-1])
+    weight = np.add.reduceat(np.add.reduceat(clash, first, axis=0), first, axis=1)
+    robots = list(mine)
+    found = [
+        (-round(float(weight[a, b]), 6), min(robots[a], robots[b]), max(robots[a], robots[b]))
+        for a, b in zip(*(side.tolist() for side in np.nonzero(np.triu(weight, 1))), strict=True)
+    ]
+    return sorted((i, j) for _, i, j in sorted(found)[:most])

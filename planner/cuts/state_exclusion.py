@@ -28,7 +28,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner import kernels_exact
-from planner.cuts.pairs import interacting_pairs, neighbours
+from planner.cuts.pairs import (
+    interacting_pairs,
+    neighbours,
+    partners,
+    positive_by_robot,
+    sweep_ends,
+)
 from planner.master import Column
 from planner.parallel import each
 from planner.plan import Path
@@ -113,7 +119,6 @@ class StateExclusions:
 
     def _sweep(self, pair: tuple[int, int]) -> PairStates | None:
         problem, (i, j) = self.problem, pair
-        ends = np.array([problem.start[i], problem.goal[i], problem.start[j], problem.goal[j]])
         place_i, place_j, begin, both = kernels_exact.pair_states(
             problem.horizon,
             *self._neighbours,
@@ -122,7 +127,7 @@ class StateExclusions:
             self.arrives[i],
             self.arrives[j],
             self.room,
-            ends.astype(np.int32),
+            sweep_ends(problem, pair),
             problem.at_goal == "park",
             MAX_STEPS,
         )
@@ -160,20 +165,13 @@ def separate(
     likely: dict[int, tuple[NDArray[np.int64], NDArray[np.float64]]] = {}
     for i in range(problem.n_robots):
         likely[i] = np.empty((0, T + 1), np.int64), np.empty(0)
-    mine: dict[int, list[int]] = {}
-    for k in np.flatnonzero(x > 1e-6).tolist():
-        if columns[k].path is not None:
-            mine.setdefault(columns[k].robot, []).append(k)
-    for i, of_i in mine.items():
+    for i, of_i in positive_by_robot(columns, x).items():
         top = sorted(of_i, key=lambda k: (-x[k], k))[:MAX_PATHS]
         place = exclusions.places(i)
         states = np.array([_states(columns[k].path, place) for k in top])
         likely[i] = states, x[top]
     pairs = interacting_pairs(columns, x, resources)
-    near: dict[int, set[int]] = {}
-    for i, j in pairs:
-        near.setdefault(i, set()).add(j)
-        near.setdefault(j, set()).add(i)
+    near = partners(pairs)
     found: list[tuple[float, StateExclusionCut]] = []
     exclusions.find_out(pairs, stop)
     for i, j in pairs:

@@ -182,7 +182,7 @@ def test_no_plan_below_the_target_violates_a_cut_or_loses_a_state(seed: int, at_
         members = np.zeros(len(tree.pool.cuts), int)
         for i, path in enumerate(plan):
             members[tree.pool.of(i, path) - resources.n] += 1
-            assert tree._may_improve(tree.master.column(i, path))
+            assert tree.fixing.may_improve(tree.master.column(i, path))
         capacity = np.array([cut.capacity for cut in tree.pool.cuts], int)
         assert np.all(members <= capacity)
 
@@ -254,7 +254,7 @@ def test_robots_do_not_pass_through_each_other_half_a_path_at_a_time(
             resources,
             [None, None],
             target=optimum + 1,
-            params=ExactParams(nodes=1, cuts=cuts, neighbourhoods=0),
+            params=ExactParams(nodes=1, cuts=cuts, neighbourhoods=0, propagations=0),
         )
         tree.run()
         bounds.append(tree.bound / SCALE)

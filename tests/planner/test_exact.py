@@ -13,7 +13,7 @@ from planner.phase_one import prove_infeasible
 from planner.plan import Path, Plan
 from planner.problem import Problem
 from planner.resources import SCALE, Resources
-from planner.search import NO_ARRIVAL_PENALTY, NOTHING_FORBIDDEN, Penalties, Search
+from planner.search import NOTHING_FORBIDDEN, Penalties, Search
 from planner.solve import SolveParams, solve
 from tests.oracles.arcflow import solve_arcflow
 from tests.oracles.tiny_problems import random_hall, tiny_problem
@@ -146,9 +146,9 @@ def test_costs_through_states(seed: int) -> None:
     noise = rng.integers(0, 3 * SCALE, resources.n) * (rng.random(resources.n) < 0.3)
     penalties.set(np.arange(resources.n), noise)
     tree = ExactSearch(search, resources, [None] * problem.n_robots)
-    tree.penalties = penalties
+    tree.pricing.penalties = penalties
     for robot in range(problem.n_robots):
-        through, arriving = tree._through(robot, NO_ARRIVAL_PENALTY)
+        through, arriving = tree.pricing.through(robot)
         for tau in range(problem.horizon + 1):
             cost, _ = search.shortest(robot, penalties, earliest=tau, latest=tau)
             assert min(int(arriving[tau]), int(kernels_exact.INFINITE)) == cost

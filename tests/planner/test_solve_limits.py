@@ -15,8 +15,13 @@ import numpy as np
 import pytest
 
 from planner.check import check_plan
+from planner.expanded_graph import ExpandedGraph
 from planner.json_files import dump_plan
+from planner.master import Master
+from planner.pgcp import PRICED_AT_ONCE, PgcpState, artificial_cost, generate_paths
 from planner.plan import Plan
+from planner.resources import SCALE, Resources
+from planner.search import Search
 from planner.solve import Method, Progress, SolveParams, solve
 from tests.oracles.tiny_problems import random_hall, tiny_problem
 from tests.planner.examples import grid, path_of
@@ -102,6 +107,27 @@ def test_time_limit(method: Method) -> None:
     assert plan.lower_bound > 0
     assert plan.lp_value is None
     assert plan.seconds < 20
+
+
+def test_path_generation_ends_between_robots() -> None:
+    """Whoever is in a hurry waits for a few robots at most, not for a round; the bound holds."""
+    problem = random_hall(4, n=30)
+    graph = ExpandedGraph.of(problem)
+    resources, search = Resources.of(problem), Search(graph)
+    full = solve(problem, SolveParams(iterations=400))
+    for patience in (0, 3, 30):
+        state = PgcpState(graph, resources, search, Master(resources, artificial_cost(problem)))
+        asked = 0
+
+        def hurry(patience: int = patience) -> bool:
+            nonlocal asked
+            asked += 1
+            return asked > patience
+
+        assert generate_paths(state, range(30), hurry=hurry, complete=False) is None
+        assert asked == patience + 1
+        assert state.iterations == patience // -(-30 // PRICED_AT_ONCE)
+        assert state.bound <= full.cost * SCALE
 
 
 def test_pgcp_gives_its_best_partial_plan() -> None:
