@@ -129,52 +129,90 @@ def blockages(smoke: bool, seeds: int) -> Iterator[Row]:
 
 
 def speed(smoke: bool, seeds: int) -> Iterator[Row]:
-    """Simulated time over wall-clock time, records and log included, by phase."""
+    """Simulated time over wall-clock time, records and log included, and where the time goes.
+
+    `seconds` and `cpu_seconds` are of a whole run with its log; the phases are measured apart: the
+    twin alone, the messages made of its records, and all of the log of these.
+    """
     from logs.mcap_writer import RunLog
+    from logs.messages import MessageStream
 
     cases = [("paper hall, 50 robots", "paper_hall", 50), ("warehouse, 300", "warehouse_day", 300)]
     if smoke:
         cases = [("paper hall, 10 robots", "paper_hall", 10)]
     for case, name, robots in cases:
         instance, plan = _crowded(name, robots)
+        world = instance.world
+        inputs: dict[str, Any] = {
+            "floor": instance.floor,
+            "radio_map": instance.radio_map,
+            "problem": instance.problem,
+            "plan": plan,
+        }
         for seed in range(seeds):
-            row: Row = {"case": case, "seed": seed}
+            records: list[Record] = []
             with tempfile.TemporaryDirectory() as folder:
-                inputs = {
-                    "floor": instance.floor,
-                    "radio_map": instance.radio_map,
-                    "problem": instance.problem,
-                    "plan": plan,
-                }
-                writing, count, end_s = 0.0, 0, 0.0
-                began = time.perf_counter()
-                with RunLog(Path(folder) / "run.mcap", world=instance.world, **inputs) as log:
-
-                    def emit(record: Record, log: RunLog = log) -> None:
-                        nonlocal writing, count, end_s
-                        since = time.perf_counter()
+                with (
+                    _Stopwatch() as whole,
+                    RunLog(Path(folder) / "run.mcap", world=world, **inputs) as log,
+                ):
+                    execute(world, **inputs, emit=log.write)
+                size = log.path.stat().st_size
+                with _Stopwatch() as twin:
+                    execute(world, **inputs, emit=records.append)
+                with _Stopwatch() as messages:
+                    stream = MessageStream(world, **inputs)
+                    for record in records:
+                        stream.of(record)
+                with (
+                    _Stopwatch() as logged,
+                    RunLog(Path(folder) / "again.mcap", world=world, **inputs) as log,
+                ):
+                    for record in records:
                         log.write(record)
-                        writing += time.perf_counter() - since
-                        count, end_s = count + 1, record.t_s
-
-                    execute(instance.world, **inputs, emit=emit)
-                total = time.perf_counter() - began
-            alone = outcome(instance, plan, instance.world)
-            yield row | {
-                "seconds": total,
-                "seconds_twin": alone["seconds"],
-                "seconds_log": writing,
-                "records": count,
+            end_s = records[-1].t_s
+            yield {
+                "case": case,
+                "seed": seed,
+                "seconds": whole.wall,
+                "cpu_seconds": whole.cpu,
+                "cpu_twin": twin.cpu,
+                "cpu_messages": messages.cpu,
+                "cpu_container": logged.cpu - messages.cpu,
+                "records": len(records),
+                "log_bytes": size,
                 "simulated_s": end_s,
-                "speed": end_s / total,
-                "speed_without_log": end_s / alone["seconds"],
+                "ms_per_slot": 1000 * whole.wall * instance.floor.slot_s / end_s,
+                "speed": end_s / whole.wall,
+                "speed_by_cpu": end_s / whole.cpu,
+                "speed_without_log": end_s / twin.wall,
             }
 
 
+class _Stopwatch:
+    """Seconds spent inside `with`: of the wall clock, and of the processor, by all threads."""
+
+    wall = cpu = 0.0
+
+    def __enter__(self) -> _Stopwatch:
+        self._began = time.perf_counter(), time.process_time()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.wall, self.cpu = (
+            now - then
+            for now, then in zip(
+                (time.perf_counter(), time.process_time()), self._began, strict=True
+            )
+        )
+
+
 def _crowded(name: str, robots: int) -> tuple[Instance, Plan]:
-    """A world with more robots and nothing that goes wrong."""
+    """A world with more robots, room for them at its access points, and nothing that goes wrong."""
     path = ROOT / f"worlds/{name}.toml"
-    overrides = {"robots.random.count": robots, "plan.objective": "tp"}
+    overrides: dict[str, object] = {"robots.random.count": robots, "plan.objective": "tp"}
+    if robots > 100:
+        overrides["radio.ap_capacity"] = robots // 3
     read = open_instance(path, overrides=overrides)
     world = read.world.model_copy(update={"delays": Delays(), "event": ()})
     instance = survey(world, resolve(world))

@@ -10,9 +10,8 @@ from __future__ import annotations
 import struct
 import zlib
 from collections.abc import Iterator
-from dataclasses import dataclass
 from io import BytesIO
-from typing import Any
+from typing import Any, NamedTuple
 
 import zstandard
 from mcap import records as mcap_records
@@ -57,8 +56,7 @@ class DamageError(LogError):
         super().__init__(message)
 
 
-@dataclass(frozen=True, slots=True)
-class Piece:
+class Piece(NamedTuple):
     """One record of the MCAP format.
 
     Attributes:
@@ -77,8 +75,7 @@ class Piece:
         return self.offset + _HEAD.size + len(self.content)
 
 
-@dataclass(frozen=True, slots=True)
-class RawMessage:
+class RawMessage(NamedTuple):
     """A message as it lies in a chunk; times are nanoseconds since the epoch of the log."""
 
     channel: int

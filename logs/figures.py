@@ -7,6 +7,7 @@ of a metro map are: each robot's is shifted by its own small, fixed amount.
 from __future__ import annotations
 
 import math
+import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,6 +19,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.legend_handler import HandlerTuple
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Polygon
@@ -40,6 +42,9 @@ MAX_NAMES = 15
 """The names of more robots than this would hide their ways."""
 MAX_ENDS = 150
 """Starts and goals of more robots than this would hide the hall."""
+_EDGE_IN = 0.12  # free at each edge of the picture
+_AXIS_IN = 1.0  # left of the hall, and free at the right
+_CHARACTERS_PER_IN = 10.5  # of a title
 _GOLDEN = 0.618_033_988_749_895
 _NO_LINK = {LINKS.index(OUTAGE), LINKS.index(NO_AP)}
 _INK, _COVERED = "#111111", "#c3d9ea"
@@ -90,9 +95,11 @@ def run_figure(run: RunFile) -> Figure:
     world, floor = run.world, run.floor
     start, traces, handovers, kpi, ap_kpis = _read(run)
     width, depth = world.hall.size_m
-    figure = Figure(figsize=_size(width, depth), layout="constrained")
+    size = _size(width, depth, len(start.aps))
+    figure = Figure(figsize=size, layout=ConstrainedLayoutEngine(w_pad=_EDGE_IN, h_pad=_EDGE_IN))
     FigureCanvasAgg(figure)
     ax = figure.subplots()
+    ax.set_anchor("NW")
 
     shades = draw_ground(ax, run)
     _draw_blockages(ax, world)
@@ -102,12 +109,12 @@ def run_figure(run: RunFile) -> Figure:
     _draw_handovers(ax, floor, handovers)
     draw_aps(ax, world, start.aps)
 
-    ax.set_title(_title(world, run, kpi), loc="left", size=12)
+    ax.set_title(_wrapped(_title(world, run, kpi), size[0]), loc="left", size=12)
     ax.grid(False)
     counts = run.radio_map.coverage_count
     coverage = _coverage_keys(counts, shades)
     blocked = bool(blockages_of(world))
-    _legend(figure, floor, start, ap_kpis, coverage, traces, handovers, blocked)
+    _legend(ax, floor, start, ap_kpis, coverage, traces, handovers, blocked)
     return figure
 
 
@@ -121,10 +128,11 @@ def draw_ground(ax: Axes, run: RunFile) -> list[tuple[float, float, float]]:
     return shades
 
 
-def _size(width_m: float, depth_m: float) -> tuple[float, float]:
+def _size(width_m: float, depth_m: float, aps: int) -> tuple[float, float]:
     """Inches: the longer side of the hall takes 8, the legend stands to the right."""
     scale = 8.0 / max(width_m, depth_m)
-    return max(width_m * scale, 3.5) + 3.8, max(depth_m * scale, 4.2) + 1.0
+    rows = min(aps, MAX_APS_IN_LEGEND + 1) + 9  # at most, of the legend
+    return max(width_m * scale, 2.0) + 4.4, max(depth_m * scale, rows * 0.22) + 1.2
 
 
 def _read(
@@ -367,8 +375,14 @@ def _coverage_keys(
     return keys
 
 
+def _wrapped(title: str, width_in: float) -> str:
+    """The lines of a title, broken where they would run out of a picture of this width."""
+    columns = max(20, int((width_in - _AXIS_IN) * _CHARACTERS_PER_IN))
+    return "\n".join(part for line in title.split("\n") for part in textwrap.wrap(line, columns))
+
+
 def _legend(
-    figure: Figure,
+    ax: Axes,
     floor: Floor,
     start: RunStart,
     ap_kpis: list[ApKpi],
@@ -377,7 +391,7 @@ def _legend(
     handovers: Sequence[Handover],
     blocked: bool,
 ) -> None:
-    """Everything in the picture, in words, to the right of it."""
+    """Everything in the picture, in words, to the right of it and below its title."""
     peaks = {kpi.ap: kpi.peak_load for kpi in ap_kpis}
     keys: list[tuple[object, str]] = []
     for index, (ap, capacity) in enumerate(zip(start.aps, start.ap_capacity, strict=True)):
@@ -402,10 +416,12 @@ def _legend(
         keys.append((Patch(**_BLOCKAGE), "blockage, for a time"))
     keys += coverage
     handles, labels = zip(*keys, strict=True)
-    figure.legend(
+    ax.legend(
         handles,
         labels,
-        loc="outside right upper",
+        loc="upper left",
+        bbox_to_anchor=(1.0, 1.0),
+        borderaxespad=0.8,
         frameon=False,
         handler_map={tuple: HandlerTuple(ndivide=None)},
         handlelength=2.6,

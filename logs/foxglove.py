@@ -2,13 +2,13 @@
 
 All positions are in metres in the frame `world`: x and y along the hall's walls, z up, the floor at
 z = 0. Messages hold all there is to see on their topic (a seek delivers the last one only), their
-timestamps are set by `stamp`. When and in which order they are written is `logs.foxglove_view`'s.
+timestamps are put in by `Stamped`. When and in which order they are written is for
+`logs.foxglove_view` to say.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import Any
 
 import numpy as np
 from foxglove_schemas_protobuf.CylinderPrimitive_pb2 import CylinderPrimitive
@@ -20,6 +20,7 @@ from foxglove_schemas_protobuf.PackedElementField_pb2 import PackedElementField
 from foxglove_schemas_protobuf.SceneEntity_pb2 import SceneEntity
 from foxglove_schemas_protobuf.SceneEntityDeletion_pb2 import SceneEntityDeletion
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
+from foxglove_schemas_protobuf.TextPrimitive_pb2 import TextPrimitive
 from foxglove_schemas_protobuf.Vector2_pb2 import Vector2
 from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 from numpy.typing import NDArray
@@ -38,6 +39,7 @@ from logs.foxglove_parts import (
     text_size,
     timestamp,
 )
+from logs.foxglove_stamp import Stamped, packed, tag
 from logs.records import (
     Arrival,
     Disturbance,
@@ -48,6 +50,7 @@ from logs.records import (
     RunEnd,
     RunStart,
 )
+from logs.wire import LEN, block
 from planner.plan import Path, Plan
 from planner.prices import Prices
 from planner.problem import Problem
@@ -65,16 +68,6 @@ CONGESTION_HEIGHT_M = 0.025
 SERVER_HEIGHT_M = 0.022
 _NO_SERVER, _SERVER_ALPHA = 255, 130
 PATH_HEIGHT_M = 0.05
-
-
-def stamp(message: Any, log_time_ns: int) -> bytes:
-    """The bytes of a scene or grid, all its timestamps set to `log_time_ns`."""
-    now = timestamp(log_time_ns)
-    scene = isinstance(message, SceneUpdate)
-    for part in (*message.entities, *message.deletions) if scene else (message,):
-        part.timestamp.CopyFrom(now)
-    data: bytes = message.SerializeToString(deterministic=True)
-    return data
 
 
 def ap_positions(world: World, ap_ids: Iterable[str]) -> list[Xyz]:
@@ -197,24 +190,45 @@ def robot_body(world: World, name: str) -> SceneEntity:
     )
 
 
-def robots_scene(
-    world: World, bodies: Sequence[SceneEntity], on_floor: Sequence[int]
-) -> SceneUpdate:
-    """The bodies of the robots on the floor (indices into `bodies`, one per robot).
+class Fleet:
+    """The bodies of all robots, packed once."""
 
-    The others are deleted by name, so that they vanish; a line beside the hall counts those on the
-    floor, so that no message only deletes.
-    """
-    present = set(on_floor)
-    size = text_size(world)
-    count = f"{len(present)} of {len(bodies)} robots on the floor"
-    fleet = entity("fleet", texts=[label((0.0, world.hall.size_m[1] + size, 0.5), count, size)])
-    return SceneUpdate(
-        entities=[fleet, *(bodies[i] for i in sorted(present))],
-        deletions=[
-            SceneEntityDeletion(id=body.id) for i, body in enumerate(bodies) if i not in present
-        ],
-    )
+    _FRAME, _ID = tag(SceneEntity, "frame_id", LEN), tag(SceneEntity, "id", LEN)
+    _TEXTS, _TEXT = tag(SceneEntity, "texts", LEN), tag(TextPrimitive, "text", LEN)
+
+    def __init__(self, world: World, names: Sequence[str]) -> None:
+        self._size_m = text_size(world)
+        self._beside = (0.0, world.hall.size_m[1] + self._size_m, 0.5)
+        # All bodies are alike but for their name, which is the last field of the last field.
+        model = robot_body(world, "")
+        text = packed(model.texts[0])
+        del model.texts[:]
+        model.ClearField("id")
+        common = packed(model)
+        self._bodies: list[bytes] = []
+        self._gone: list[bytes] = []
+        for name in names:
+            body = f"robot/{name}"
+            head = block(self._FRAME, name.encode()) if name else b""
+            words = text + (block(self._TEXT, name.encode()) if name else b"")
+            self._bodies.append(
+                head + block(self._ID, body.encode()) + common + block(self._TEXTS, words)
+            )
+            self._gone.append(packed(SceneEntityDeletion(id=body)))
+
+    def scene(self, on_floor: Sequence[int]) -> Stamped:
+        """The bodies of the robots on the floor.
+
+        The others are deleted by name, so that they vanish; a line beside the hall counts those on
+        the floor, so that no message only deletes.
+        """
+        present = set(on_floor)
+        count = f"{len(present)} of {len(self._bodies)} robots on the floor"
+        fleet = entity("fleet", texts=[label(self._beside, count, self._size_m)])
+        return Stamped.scene(
+            [packed(fleet), *(self._bodies[i] for i in sorted(present))],
+            [gone for i, gone in enumerate(self._gone) if i not in present],
+        )
 
 
 def plan_scene(problem: Problem, plan: Plan) -> SceneUpdate:
@@ -226,7 +240,7 @@ def plan_scene(problem: Problem, plan: Plan) -> SceneUpdate:
 
 def _path_entity(problem: Problem, path: Path) -> SceneEntity:
     xy = problem.xy_m[path.vertices]
-    points = [(float(x), float(y), PATH_HEIGHT_M) for x, y in xy]
+    points = [(x, y, PATH_HEIGHT_M) for x, y in xy.tolist()]
     cuts = (np.flatnonzero(np.diff(path.aps)) + 1).tolist()
     lines, balls = [], []
     for begin, end in zip([0, *cuts], [*cuts, len(points)], strict=True):

@@ -8,7 +8,8 @@ grey. A new path (`NewPath`) takes the place of what was ahead.
 from __future__ import annotations
 
 from bisect import bisect_right
-from itertools import pairwise
+from collections.abc import Iterable, Sequence
+from itertools import accumulate, pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,18 +39,71 @@ class _Way:
         base: index of the first state of its present path.
     """
 
-    def __init__(self, vertices: Ints, aps: Ints, xy_m: NDArray[np.float64]) -> None:
+    def __init__(
+        self,
+        vertices: Ints,
+        aps: Ints,
+        xy_m: NDArray[np.float64],
+        points: Sequence[bytes],
+        colors: Sequence[bytes],
+    ) -> None:
+        """Lay a way out.
+
+        Args:
+            vertices, aps: of its states.
+            xy_m: of all vertices [m].
+            points: these, packed.
+            colors: of each AP, packed.
+        """
         self.vertices, self.aps = vertices, aps
         self.at: int | None = None
         self.base = 0
-        self._corners = _corners(xy_m[vertices], aps)
+        self._stands = vertices.tolist()
+        self._points = [points[v] for v in self._stands]
+        self._colors = [colors[a] for a in aps.tolist()]
+        self._corners = corners = _corners(xy_m[vertices], aps)
+        # The pieces between corners one after the other, and where each begins.
+        pieces = [self._piece(a, b) for a, b in pairwise(corners)]
+        self._lines = b"".join([line for line, _ in pieces])
+        self._paint = b"".join([paint for _, paint in pieces])
+        self._line_at = _ends(line for line, _ in pieces)
+        self._paint_at = _ends(paint for _, paint in pieces)
+        self._drawn: tuple[int, tuple[bytes, bytes]] | None = None
 
-    def states(self, first: int, last: int) -> list[int]:
-        """The first and last of these states, and those between where the line bends."""
+    def _piece(self, a: int, b: int) -> tuple[bytes, bytes]:
+        """Points and colours of the straight piece from state a to b; none for a wait."""
+        if self._stands[a] == self._stands[b]:
+            return b"", b""
+        # A crossing is served by the AP of the vertex it leaves (§1.6).
+        return self._points[a] + self._points[b], self._colors[a]
+
+    def _between(self, first: int, last: int) -> tuple[bytes, bytes]:
+        """Points and colours from state `first` to `last`, corner by corner."""
         if last <= first:
-            return [first]
-        begin, end = bisect_right(self._corners, first), bisect_right(self._corners, last - 1)
-        return [first, *self._corners[begin:end], last]
+            return b"", b""
+        begin = bisect_right(self._corners, first)
+        end = bisect_right(self._corners, last - 1) - 1
+        if end < begin:
+            return self._piece(first, last)
+        head, paint_head = self._piece(first, self._corners[begin])
+        tail, paint_tail = self._piece(self._corners[end], last)
+        line = self._lines[self._line_at[begin] : self._line_at[end]]
+        paint = self._paint[self._paint_at[begin] : self._paint_at[end]]
+        return head + line + tail, paint_head + paint + paint_tail
+
+    def draw(self, at: int, trail: bytes) -> tuple[bytes, bytes]:
+        """Points and colours of the way ahead of state `at` and, in the colours `trail`, behind."""
+        if self._drawn is None or self._drawn[0] != at:
+            ahead, paint = self._between(at, min(at + AHEAD, len(self._stands) - 1))
+            behind, _ = self._between(max(0, at - TRAIL), at)
+            pieces = len(behind) // (2 * len(self._points[0]))
+            self._drawn = at, (ahead + behind, paint + pieces * trail)
+        return self._drawn[1]
+
+
+def _ends(parts: Iterable[bytes]) -> list[int]:
+    """Where each of some parts begins when they are joined, and where the last one ends."""
+    return list(accumulate(map(len, parts), initial=0))
 
 
 def _corners(xy_m: NDArray[np.float64], aps: Ints) -> list[int]:
@@ -68,13 +122,16 @@ class Paths(Lines):
     def __init__(self, problem: Problem, plan: Plan) -> None:
         super().__init__("paths", 0.07)
         self._xy_m = problem.xy_m
-        self._points = [self.point(float(x), float(y), _HEIGHT_M) for x, y in problem.xy_m]
+        self._points = [self.point(x, y, _HEIGHT_M) for x, y in problem.xy_m.tolist()]
         self._colors = [self.pair(ap_color(k), 0.85) for k in range(len(problem.ap_ids))]
         self._trail = self.pair(rgb(_TRAIL_COLOR), 0.6)
         self._ways: dict[str, _Way] = {}
         for path in plan.paths:
             if path is not None:
-                self._ways[path.robot] = _Way(path.vertices, path.aps, self._xy_m)
+                self._ways[path.robot] = self._way(path.vertices, path.aps)
+
+    def _way(self, vertices: Ints, aps: Ints) -> _Way:
+        return _Way(vertices, aps, self._xy_m, self._points, self._colors)
 
     def state(self, state: RobotState) -> None:
         """Where a robot is in its path."""
@@ -93,7 +150,7 @@ class Paths(Lines):
         if old is not None:
             vertices = np.concatenate([old.vertices[:been], vertices])
             aps = np.concatenate([old.aps[:been], aps])
-        way = _Way(vertices, aps, self._xy_m)
+        way = self._way(vertices, aps)
         way.base = way.at = been
         self._ways[path.robot] = way
 
@@ -102,16 +159,8 @@ class Paths(Lines):
         points: list[bytes] = []
         colors: list[bytes] = []
         for way in self._ways.values():
-            if way.at is None:
-                continue
-            last = min(way.at + AHEAD, len(way.vertices) - 1)
-            for a, b in pairwise(way.states(way.at, last)):
-                # A crossing is served by the AP of the vertex it leaves (§1.6).
-                if way.vertices[a] != way.vertices[b]:
-                    points += self._points[way.vertices[a]], self._points[way.vertices[b]]
-                    colors.append(self._colors[way.aps[a]])
-            for a, b in pairwise(way.states(max(0, way.at - TRAIL), way.at)):
-                if way.vertices[a] != way.vertices[b]:
-                    points += self._points[way.vertices[a]], self._points[way.vertices[b]]
-                    colors.append(self._trail)
+            if way.at is not None:
+                line, paint = way.draw(way.at, self._trail)
+                points.append(line)
+                colors.append(paint)
         return b"".join(points + colors)

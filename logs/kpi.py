@@ -112,8 +112,8 @@ class KpiFold:
         self._last_handover: dict[int, Handover] = {}
         self._delays = self._replans = 0
         self._incidents = 0
-        self._loads = np.zeros((3, m), np.int64)  # rows: slots, robot-slots, those over capacity
-        self._peak = np.zeros(m, np.int64)
+        self._loads = [(0, 0, 0)] * m  # slots, robot-slots, those over capacity
+        self._peak = [0] * m
         self._peak_of_all = (0, 0.0)  # load, share of that AP's capacity
         self._moves = np.zeros((2, m), np.int64)  # rows: handovers in, out
         self._clearance = np.inf
@@ -208,6 +208,9 @@ class KpiFold:
         if whole <= 0:
             return
         robots, connected = self._open, self._open_link == _CONNECTED
+        if not self._interrupted:
+            self._close_whole(whole, until_s)
+            return
         interrupted = np.zeros(len(robots))
         for i in list(self._interrupted):
             interrupted[robots == i] = sum(
@@ -239,10 +242,31 @@ class KpiFold:
         self._history.append(columns)
         self._rates.add(columns[1], columns[2])
 
+    def _close_whole(self, whole: float, until_s: float) -> None:
+        """The same, if nobody is interrupted, which is the rule."""
+        robots, self._since = self._open, until_s
+        if not len(robots):
+            return
+        lost = self._open_link != _CONNECTED
+        if lost.any():
+            out, robots_in = robots[lost], robots[~lost]
+            self._outage[out] += whole
+            self._outage_now[out] += whole
+            self._outage_worst[out] = np.maximum(self._outage_worst[out], self._outage_now[out])
+        else:
+            robots_in = robots
+        self._connected[robots_in] += whole
+        self._outage_now[robots_in] = 0.0
+        self._delivered[robots] += self._open_rate * whole
+        seconds = np.full(len(robots), whole)
+        self._history.append((robots.astype(np.int32), self._open_rate.copy(), seconds))
+        self._rates.add(self._open_rate, seconds)
+
     def _add_load(self, load: ApLoad) -> None:
         a = self._ap[load.ap]
-        over = max(0, load.load - load.capacity)
-        self._loads[:, a] += (1, load.load, over)
+        slots, robot_slots, over = self._loads[a]
+        over += max(0, load.load - load.capacity)
+        self._loads[a] = slots + 1, robot_slots + load.load, over
         self._peak[a] = max(self._peak[a], load.load)
         share = load.load / max(1, load.capacity)  # an AP switched off by capacity 0
         self._peak_of_all = max(self._peak_of_all, (load.load, share))
@@ -304,7 +328,7 @@ class KpiFold:
             worst_outage_s=float(self._outage_worst.max(initial=0.0)),
             peak_load=self._peak_of_all[0],
             peak_load_share=self._peak_of_all[1],
-            overload_robot_slots=int(self._loads[2].sum()),
+            overload_robot_slots=sum(over for _, _, over in self._loads),
             delivered_mbit=float(self._delivered.sum()),
             p10_rate_mbps=self._rates.percentile_10(),
             min_clearance_m=self._clearance if np.isfinite(self._clearance) else NO_CLEARANCE_M,
@@ -353,19 +377,20 @@ class KpiFold:
             )
             for name, i in self._robot.items()
         ]
-        slots, robot_slots, over = self._loads
         aps = [
             ApKpi(
                 t_s=t_s,
                 ap=name,
-                mean_load=float(robot_slots[a] / slots[a]) if slots[a] else 0.0,
-                peak_load=int(self._peak[a]),
+                mean_load=robot_slots / slots if slots else 0.0,
+                peak_load=self._peak[a],
                 capacity=self._start.ap_capacity[a],
-                overload_robot_slots=int(over[a]),
+                overload_robot_slots=over,
                 handovers_in=int(self._moves[0, a]),
                 handovers_out=int(self._moves[1, a]),
             )
-            for name, a in self._ap.items()
+            for (name, a), (slots, robot_slots, over) in zip(
+                self._ap.items(), self._loads, strict=True
+            )
         ]
         return [*robots, *aps]
 

@@ -46,6 +46,10 @@ def time_s(log_time_ns: int) -> float:
     return (log_time_ns - EPOCH_NS) / 1e9
 
 
+_TIME_AND_SIZE = struct.Struct("<QQ")
+_TOGETHER_BYTES = 1 << 18
+
+
 class ContentHash:
     """SHA-256 of what a log says, whatever compression, chunks or library version it is kept in.
 
@@ -65,14 +69,22 @@ class ContentHash:
         self._messages = hashlib.sha256()
         self._parts: list[tuple[str, str, bytes]] = []
         self._topics: dict[str, bytes] = {}
+        self._pending: list[bytes] = []  # of messages, hashed together
+        self._pending_bytes = 0
 
     def message(self, topic: str, log_time_ns: int, payload: bytes) -> None:
         """Add the next message."""
         head = self._topics.get(topic)
         if head is None:
             head = self._topics[topic] = _text(topic)
-        self._messages.update(head + struct.pack("<QQ", log_time_ns, len(payload)))
-        self._messages.update(payload)
+        self._pending += (head, _TIME_AND_SIZE.pack(log_time_ns, len(payload)), payload)
+        self._pending_bytes += len(payload)
+        if self._pending_bytes > _TOGETHER_BYTES:
+            self._hash_pending()
+
+    def _hash_pending(self) -> None:
+        self._messages.update(b"".join(self._pending))
+        self._pending, self._pending_bytes = [], 0
 
     def attachment(self, name: str, media_type: str, data: bytes) -> None:
         """Add an attachment."""
@@ -89,6 +101,7 @@ class ContentHash:
 
     def hexdigest(self) -> str:
         """The hash of what was added so far."""
+        self._hash_pending()
         parts = b"".join(digest for _, _, digest in sorted(self._parts))
         return hashlib.sha256(self._messages.digest() + parts).hexdigest()
 

@@ -8,15 +8,13 @@ to do; nothing is unpacked beyond a bound, so a forged file cannot fill the memo
 
 from __future__ import annotations
 
-import mmap
 import zlib
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Schema
@@ -32,6 +30,7 @@ from logs.container import (
     unpack_chunk,
 )
 from logs.errors import LogError
+from logs.mapped import mapped
 from logs.mcap_format import (
     FORMAT,
     HASH_METADATA,
@@ -63,8 +62,7 @@ MAX_UNPACKED_BYTES = 1 << 33
 _KNOWN_FORMATS = (FORMAT,)
 
 
-@dataclass(frozen=True, slots=True)
-class Message:
+class Message(NamedTuple):
     """One message as it lies in the file.
 
     Attributes:
@@ -108,7 +106,7 @@ class RunFile:
                         f"{path}: has two attachments {part.name!r}; it was tampered with"
                     )
                 attachments[part.name] = part.data
-            elif isinstance(part, tuple):
+            elif not isinstance(part, Message):
                 name, values = part
                 if name in metadata:
                     raise LogError(
@@ -266,7 +264,7 @@ def data_pieces(path: Path) -> Iterator[Piece]:
         LogError: the file is damaged.
     """
     with _told(path):
-        yield from _Walk(path).data_pieces(_map(path))
+        yield from _Walk(path).data_pieces(mapped(path))
 
 
 Part = Message | Attachment | tuple[str, dict[str, str]]
@@ -291,7 +289,7 @@ class _Walk:
 
     def parts(self, *, messages: bool, schemas: Collection[str] | None = None) -> Iterator[Part]:
         """Attachments, metadata and, if wanted, messages (of these types), in file order."""
-        data = _map(self.path)
+        data = mapped(self.path)
         with _told(self.path):
             for piece in self.data_pieces(data):
                 yield from self._part(piece, messages, schemas)
@@ -410,24 +408,6 @@ class _Walk:
             return None
         data = bytes(raw.data)
         return Message(topic, schema, raw.log_time, raw.publish_time, raw.sequence, data)
-
-
-def _map(path: Path) -> memoryview:
-    """The file's bytes, read as they are used."""
-    try:
-        if path.is_dir():
-            raise LogError(f"{path}: is a folder; give the log in it")
-        if path.exists() and not path.is_file():  # a pipe would wait for ever
-            raise LogError(f"{path}: is not a file on a disk; copy the log to one")
-        with path.open("rb") as file:
-            if not path.stat().st_size:
-                raise LogError(f"{path}: is empty; run the world again")
-            return memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
-    except FileNotFoundError as error:
-        raise LogError(f"{path}: is not there; give a log written by `twin run`") from error
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise LogError(f"{path}: cannot be read: {reason}") from error
 
 
 def _check_crc(what: str, stored: int, data: bytes | memoryview) -> None:

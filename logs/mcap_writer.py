@@ -13,6 +13,7 @@ import platform
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from types import TracebackType
@@ -110,6 +111,7 @@ class RunLog:
             build_layout(world, problem, radio_map, plan.prices, busiest_robots(plan))
         )
         self._file: BinaryIO | None = None
+        self._writer: Writer | None = None
         self._channels: dict[str, int] = {}
         self._sequences: dict[str, int] = {}
         self._hash = ContentHash()
@@ -150,55 +152,53 @@ class RunLog:
         Raises:
             LogError: the record does not fit the run, its time goes back, or the disk is full.
         """
-        if self._file is None:
+        writer = self._writer
+        if writer is None:
             raise LogError(f"{self.path}: the log is not open; write inside `with RunLog(…)`")
-        with self._os_errors(), self._named():
-            for message in self._stream.of(record):
-                self._message(*message)
+        try:
+            for topic, log_time, data in self._stream.of(record):
+                sequence = self._sequences[topic]
+                self._sequences[topic] = sequence + 1
+                self._hash.message(topic, log_time, data)
+                writer.add_message(self._channels[topic], log_time, data, log_time, sequence)
+        except OSError as error:
+            raise self._unwritable(error) from error
+        except LogError as error:
+            raise LogError(f"{self.path}: {error}") from error
 
     # --- the file ---------------------------------------------------------------------------
 
     def _start(self, file: BinaryIO) -> None:
         """Header, metadata, attachments, schemas and channels, always in the same order."""
-        self._writer = Writer(
+        self._writer = writer = Writer(
             file,
             chunk_size=CHUNK_BYTES,
             compression=CompressionType.ZSTD,
             enable_data_crcs=True,
         )
-        self._writer.start(library=f"mapp-twin/{_version('mapp-twin')}")
+        writer.start(library=f"mapp-twin/{_version('mapp-twin')}")
         world, radio_map, problem, plan = self._inputs
-        self._metadata(RUN_METADATA, run_metadata(world))
-        self._metadata(VERSIONS_METADATA, _versions())
+        metadata = {RUN_METADATA: run_metadata(world), VERSIONS_METADATA: _versions()}
+        for name, values in metadata.items():
+            self._hash.metadata(name, values)
+            writer.add_metadata(name, values)
         contents = _attachments(world, radio_map, problem, plan, self._layout)
         for name, media_type in ATTACHMENTS.items():
             self._hash.attachment(name, media_type, contents[name])
-            self._writer.add_attachment(EPOCH_NS, EPOCH_NS, name, media_type, contents[name])
+            writer.add_attachment(EPOCH_NS, EPOCH_NS, name, media_type, contents[name])
 
         schemas: dict[str, int] = {}
         for topic, kind in self._stream.channels.items():
             if kind.name not in schemas:
-                schemas[kind.name] = self._writer.register_schema(
-                    kind.name, "protobuf", kind.schema
-                )
+                schemas[kind.name] = writer.register_schema(kind.name, "protobuf", kind.schema)
             schema = schemas[kind.name]
-            self._channels[topic] = self._writer.register_channel(topic, "protobuf", schema)
+            self._channels[topic] = writer.register_channel(topic, "protobuf", schema)
             self._sequences[topic] = 0
-
-    def _metadata(self, name: str, values: dict[str, str]) -> None:
-        self._hash.metadata(name, values)
-        self._writer.add_metadata(name, values)
-
-    def _message(self, topic: str, log_time: int, data: bytes) -> None:
-        sequence = self._sequences[topic]
-        self._sequences[topic] = sequence + 1
-        self._hash.message(topic, log_time, data)
-        self._writer.add_message(self._channels[topic], log_time, data, log_time, sequence)
 
     def _finish(self) -> None:
         if not isinstance(self._stream.last, RunEnd):
             raise LogError(f"{self.path}: the run gave no RunEnd record; no log is kept")
-        if self._file is None:
+        if self._file is None or self._writer is None:
             raise LogError(f"{self.path}: the log is closed")
         with self._os_errors():
             self._writer.add_metadata(HASH_METADATA, {"sha256": self._hash.hexdigest()})
@@ -214,6 +214,7 @@ class RunLog:
 
     def _discard(self) -> None:
         """Close and remove the unfinished file, if there is one."""
+        self._writer = None
         if self._file is not None:
             with suppress(OSError):
                 self._file.close()
@@ -235,9 +236,11 @@ class RunLog:
         try:
             yield
         except OSError as error:
-            raise LogError(
-                f"{self.path}: cannot be written: {error.strerror or error}; choose another place"
-            ) from error
+            raise self._unwritable(error) from error
+
+    def _unwritable(self, error: OSError) -> LogError:
+        reason = error.strerror or error
+        return LogError(f"{self.path}: cannot be written: {reason}; choose another place")
 
 
 def _attachments(
@@ -279,6 +282,7 @@ def _versions() -> dict[str, str]:
     return own | {name: _version(name) for name in _PACKAGES}
 
 
+@cache
 def _version(package: str) -> str:
     try:
         return version(package)

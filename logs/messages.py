@@ -8,7 +8,7 @@ Foxglove messages that go with it, ready for a file (`logs.mcap_writer`), for a 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from mcap_protobuf.schema import build_file_descriptor_set
@@ -55,31 +55,37 @@ class MessageStream:
             LogError: names of robots or APs that a log cannot tell apart.
         """
         self._robots, self._aps = problem.robot_ids, problem.ap_ids
+        self._topics: dict[type[Record], tuple[str, dict[str, str]]] = {}  # whose, by their names
         self._view = View(world, floor, radio_map, problem, plan)
         self.channels: Mapping[str, MessageType] = self._channels()
         self.last: Record | None = None
 
-    def of(self, record: Record) -> Iterator[Out]:
+    def of(self, record: Record) -> list[Out]:
         """The messages of the next record, in the order of their times.
 
         Raises:
             LogError: the record does not fit the run, or its time goes back.
         """
-        refusal, topic = self._refusal(record), self._topic(record)
+        refusal, topic = self._refusal(record), self._topic_of(record)
         if refusal or topic is None:
             reason = refusal or "its robot or AP is none of the problem's"
             raise LogError(f"{type(record).__name__} at t = {record.t_s} s: {reason}")
         data = encode(record)
-        yield from self._view.before(record)
-        yield topic, time_ns(record.t_s), data
-        yield from self._view.after(record)
+        out = self._view.before(record)
+        out.append((topic, time_ns(record.t_s), data))
+        out += self._view.after(record)
         self.last = record
+        return out
 
     def _channels(self) -> dict[str, MessageType]:
         channels: dict[str, MessageType] = {}
         for record_type in RECORD_TYPES:
             own = MessageType(message_name(record_type), schema_data(record_type))
-            for topic in topics_of(record_type, self._robots, self._aps):
+            subject = subject_of(record_type)
+            names = {"robot": self._robots, "ap": self._aps, "": ("",)}[subject]
+            topics = topics_of(record_type, self._robots, self._aps)
+            self._topics[record_type] = subject, dict(zip(names, topics, strict=True))
+            for topic in topics:
                 if topic in channels:
                     raise LogError(f"two robots or APs would share the topic {topic}")
                 channels[topic] = own
@@ -111,18 +117,15 @@ class MessageStream:
             return _sample_refusal(record, len(self._robots), len(self._aps))
         return None
 
-    def _topic(self, record: Record) -> str | None:
+    def _topic_of(self, record: Record) -> str | None:
         """The record's topic, None if it speaks of a robot or AP that the problem has not."""
-        topic = topic_of(record)
-        return topic if topic in self.channels else None
+        subject, topics = self._topics.get(type(record), ("", {}))
+        return topics.get(getattr(record, subject) if subject else "")
 
 
-def topic_of(record: Record) -> str:
-    """The topic a record lies on, its robot or AP put in."""
-    topic = record.topic
-    if "{" in topic:
-        topic = topic.format(robot=getattr(record, "robot", ""), ap=getattr(record, "ap", ""))
-    return topic
+def subject_of(record_type: type[Record]) -> str:
+    """The field of a record type that its topic has in it, "robot" or "ap"; "" if none."""
+    return next((name for name in ("robot", "ap") if f"{{{name}}}" in record_type.topic), "")
 
 
 def topics_of(
@@ -130,11 +133,13 @@ def topics_of(
 ) -> list[str]:
     """Every topic of a record type in a run with these robots and APs."""
     topic = record_type.topic
-    if "{robot}" in topic:
-        return [topic.format(robot=name) for name in robots]
-    if "{ap}" in topic:
-        return [topic.format(ap=name) for name in aps]
-    return [topic]
+    match subject_of(record_type):
+        case "robot":
+            return [topic.format(robot=name) for name in robots]
+        case "ap":
+            return [topic.format(ap=name) for name in aps]
+        case _:
+            return [topic]
 
 
 def _sample_refusal(sample: Sample, robots: int, aps: int) -> str | None:

@@ -9,6 +9,7 @@ packed repeated field of these. So any reader of protobuf gets typed columns wit
 from __future__ import annotations
 
 import dataclasses
+import struct
 import sys
 from operator import attrgetter
 from typing import Any, TypeVar, get_args, get_origin, get_type_hints
@@ -18,6 +19,7 @@ from google.protobuf.message import DecodeError
 
 from logs.errors import LogError
 from logs.records import RECORD_TYPES, Record
+from logs.wire import packer
 
 PACKAGE = "mapp"
 
@@ -57,11 +59,15 @@ def file_descriptor(record_type: type[Record]) -> Any:
     return file
 
 
+_SCHEMAS: dict[type[Record], bytes] = {}  # those asked for so far
+
+
 def schema_data(record_type: type[Record]) -> bytes:
     """A record type's serialized `FileDescriptorSet`: the data of its MCAP schema."""
-    files = descriptor_pb2.FileDescriptorSet(file=[file_descriptor(record_type)])
-    data: bytes = files.SerializeToString(deterministic=True)
-    return data
+    if record_type not in _SCHEMAS:
+        files = descriptor_pb2.FileDescriptorSet(file=[file_descriptor(record_type)])
+        _SCHEMAS[record_type] = files.SerializeToString(deterministic=True)
+    return _SCHEMAS[record_type]
 
 
 def field_layout(name: str, data: bytes) -> tuple[tuple[str, int, int, int], ...]:
@@ -106,6 +112,12 @@ class Codec:
         elements = [_element(hints[name]) for name in self._fields]
         self._tuples = tuple(i for i, (_, repeated) in enumerate(elements) if repeated)
         self._strings = tuple(i for i, e in enumerate(elements) if e == (str, False))
+        packers = [
+            packer(number, kind, repeated=repeated)
+            for number, (kind, repeated) in enumerate(elements, start=1)
+        ]
+        known = [pack for pack in packers if pack is not None]
+        self._packers = tuple(known) if len(known) == len(packers) else None
 
     def encode(self, record: Record) -> bytes:
         """The record's bytes; the same record gives the same bytes.
@@ -113,6 +125,12 @@ class Codec:
         Raises:
             LogError: a value is not of its field's type or range.
         """
+        if self._packers is not None:
+            try:
+                values = zip(self._packers, self._values(record), strict=True)
+                return b"".join([pack(value) for pack, value in values])
+            except (TypeError, ValueError, struct.error):
+                pass  # values of other types than the fields'; protobuf takes some of them
         try:
             message = self._message(**dict(zip(self._fields, self._values(record), strict=True)))
             data: bytes = message.SerializeToString(deterministic=True)

@@ -17,7 +17,6 @@ off, or whose CRCs do not agree, gets findings, and the checks go on as far as t
 from __future__ import annotations
 
 import math
-import mmap
 import time
 import traceback
 from collections.abc import Callable, Iterator
@@ -27,6 +26,7 @@ from typing import TYPE_CHECKING
 
 from logs.errors import LogError
 from logs.findings import Checks, Finding, Report
+from logs.mapped import mapped
 from logs.mcap_format import time_ns
 from logs.protobuf import CODECS, decode, message_name
 from logs.records import Record, RunEnd
@@ -58,7 +58,7 @@ def validate(path: Path, *, on_progress: OnProgress | None = None) -> Report:
     """
     begun = time.perf_counter()
     checks = Checks()
-    _validate(_bytes_of(Path(path)), str(path), checks, on_progress or _silent)
+    _validate(mapped(Path(path)), str(path), checks, on_progress or _silent)
     return Report(
         path=str(path),
         findings=checks.findings(),
@@ -175,21 +175,3 @@ def _reader(checks: Checks, step: int) -> Iterator[None]:
             "a log this step can go through; the rest of it was not checked",
         )
         checks.skip(f"the rest of step {step}: it met something unforeseen")
-
-
-def _bytes_of(path: Path) -> memoryview:
-    """The file, mapped into memory and read as it is used."""
-    try:
-        if path.is_dir():
-            raise LogError(f"{path}: is a folder; give the log in it")
-        with path.open("rb") as file:
-            if not path.stat().st_size:
-                raise LogError(f"{path}: is empty; run the world again")
-            return memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
-    except FileNotFoundError as error:
-        raise LogError(f"{path}: is not there; give a log written by `twin run`") from error
-    except (OSError, ValueError) as error:
-        if isinstance(error, LogError):
-            raise
-        reason = getattr(error, "strerror", None) or error
-        raise LogError(f"{path}: cannot be read: {reason}") from error

@@ -44,6 +44,7 @@ from logs.validate_incidents import IncidentCheck
 from logs.validate_poses import PoseCheck
 from logs.validate_radio import RadioCheck
 from logs.validate_replans import ReplanCheck
+from logs.validate_serving import PlannedServing
 from logs.validate_states import StateCheck
 from worlds.events import longest_run_slots
 
@@ -80,10 +81,13 @@ class RunCheck:
         self._incidents = IncidentCheck(context)
         self._disturbances = DisturbanceCheck(context, truth)
         self._commits = CommitCheck(context, truth, self._disturbances)
-        self._states = StateCheck(context, self._incidents, truth, self._commits)
+        self._serving = serving = PlannedServing(context)
+        self._states = StateCheck(context, self._incidents, truth, self._commits, serving)
         self._replans = ReplanCheck(context, self._incidents, truth, self._states, self._commits)
         self._poses = PoseCheck(context, self._incidents, self._disturbances)
-        self._radio = RadioCheck(context, self._incidents, scene, truth, self._disturbances)
+        self._radio = RadioCheck(
+            context, self._incidents, scene, truth, self._disturbances, serving
+        )
         self._view: SlotView | None = None
         self._next = (0, 0)  # slot and step of the next sample
         self._started = False
@@ -116,6 +120,8 @@ class RunCheck:
             case NewPath():
                 self._commit_to_beginning(record)
                 self._replans.add_path(record)
+                i = self._context.robot[record.robot]
+                self._serving.begin(i, self._radio.serving(i))
             case RobotState():
                 self._go_on(record)
                 self._radio.add_state(record)
@@ -264,11 +270,10 @@ class RunCheck:
 
     def _commit_until(self, slot: int) -> None:
         while self._states.slot <= slot:
-            self._begin(self._states.slot)
-            if self._view is not None:
+            if self._view is not None:  # by the paths that were in force in its slot
                 self._poses.close(self._view)
                 self._radio.close(self._view, self._states.deviates)
-            self._states.unplanned = self._radio.unplanned
+            self._begin(self._states.slot)
             self._view = self._states.commit()
 
     def _begin(self, slot: int) -> None:

@@ -8,7 +8,6 @@ in force: each robot's visits are a prefix of its path, none before its slot.
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Sequence
 
 import numpy as np
@@ -29,20 +28,29 @@ from logs.validate_commit import CommitCheck
 from logs.validate_context import STEP, Bools, Context, Ints, SlotView
 from logs.validate_disturbances import Truth
 from logs.validate_incidents import IncidentCheck
+from logs.validate_moves import MoveCheck
+from logs.validate_serving import PlannedServing
+from logs.validate_snr import NO_SNR_DB
+from logs.validate_views import ViewBuilder
 
 _STATE, _PLAN = "page5:state", "page5:plan"
-NO_SNR_DB = -1000.0
 
 
 class StateCheck:
     """Gathers the states of a slot's beginning and checks them together."""
 
     def __init__(
-        self, context: Context, incidents: IncidentCheck, truth: Truth, commits: CommitCheck
+        self,
+        context: Context,
+        incidents: IncidentCheck,
+        truth: Truth,
+        commits: CommitCheck,
+        serving: PlannedServing,
     ) -> None:
         self._context = context
         self._incidents = incidents
-        self._truth, self._commits = truth, commits
+        self._truth, self._commits, self._serving = truth, commits, serving
+        self._moves, self._views = MoveCheck(context, incidents), ViewBuilder(context, serving)
         walks = context.itinerary.walks
         self.present = {i for i, walk in enumerate(walks) if walk is not None}
         """Robots that are on the floor in the slot that is being gathered."""
@@ -56,8 +64,6 @@ class StateCheck:
         self._played: SlotView | None = None
         self.slot = 0
         """The slot whose states are being gathered."""
-        self.unplanned: Bools = np.zeros(len(context.start.robots), np.bool_)
-        """Robots whose last handover was not planned."""
         self.deviates: Bools = np.zeros(len(context.start.robots), np.bool_)
         """Robots that another AP serves than their path has."""
 
@@ -155,13 +161,20 @@ class StateCheck:
         self._check_presence(slot, over)
         if over:
             self._check_arrivals(slot, set())
-            view = self._last_view(slot)
+            view = self._views.at_the_end(
+                slot, self._view, self.present, self.where(), self.expected_visit
+            )
         else:
-            view = self._view_of_states(slot)
+            there = [
+                (i, state)
+                for i, state in sorted(self._states.items())
+                if state.activity != GONE and i in self.present
+            ]
+            view = self._views.of_states(slot, there, self._view)
             self._check_plan(view)
             self._check_arrivals(slot, set(view.robot[view.arrived].tolist()) - self._home)
-            self._check_moves(view)
-            self._check_places(view)
+            self._moves.check_moves(view, self._view)
+            self._moves.check_places(view)
             self._check_loads(view)
             self._commits.check(view, self._states)
             self._go_home(view)
@@ -271,114 +284,6 @@ class StateCheck:
         if found != expected:
             self._find("§1.4", f"after its arrival {found}", expected, slot, self._context.name(i))
 
-    def _view_of_states(self, slot: int) -> SlotView:
-        """The usable states of the robots on the floor, as columns."""
-        context, problem = self._context, self._context.inputs.problem
-        vertices, edges = problem.n_vertices, problem.n_edges
-        rows: list[tuple[int, ...]] = []
-        leaves = context.start.at_goal == "leave"
-        for i, state in sorted(self._states.items()):
-            if state.activity == GONE or i not in self.present:
-                continue
-            if not (
-                0 <= state.vertex < vertices
-                and 0 <= state.next_vertex < vertices
-                and -1 <= state.edge < edges
-            ):
-                self._find(
-                    "§1.1",
-                    f"vertex {state.vertex}, edge {state.edge}, next vertex {state.next_vertex}",
-                    f"indices below {vertices} vertices and {edges} edges",
-                    slot,
-                    state.robot,
-                )
-                continue
-            ap = context.ap.get(state.ap, -1)
-            moves = state.activity == MOVING
-            arrived = state.activity == ARRIVED
-            advances = moves or state.activity == WAITING or (arrived and leaves)
-            rows.append((i, state.vertex, state.next_vertex, state.edge, moves, ap,
-                         state.visit, advances, arrived))  # fmt: skip
-        columns: Ints = np.array(rows, np.int64).reshape(-1, 9).T
-        robot, vertex, next_vertex, edge = columns[:4]
-        moving, ap = columns[4].astype(np.bool_), columns[5]
-        slots = np.where(edge >= 0, np.append(problem.edge_slots, 1)[edge], 1)
-        piece, load_ap = self._pieces(robot, vertex, edge, slots, ap)
-        view = SlotView(
-            slot=slot,
-            robot=robot,
-            vertex=vertex,
-            next_vertex=next_vertex,
-            edge=edge,
-            piece=piece,
-            slots=slots,
-            moves=moving,
-            visit=columns[6],
-            advances=columns[7].astype(np.bool_),
-            arrived=columns[8].astype(np.bool_),
-            ap=ap,
-            load_ap=load_ap,
-            start_m=np.empty((0, 2)),
-            end_m=np.empty((0, 2)),
-        )
-        return view.placed(problem.xy_m)
-
-    def _last_view(self, slot: int) -> SlotView:
-        """The run's last instant: without states, who parks stands where the last slot ended."""
-        before = self._view
-        there = sorted(self.present)
-        stays = np.flatnonzero(np.isin(before.robot, there)) if before is not None else np.arange(0)
-        none = np.empty(0, np.int64)
-        where = self.where()
-        robot: Ints = before.robot[stays] if before is not None else none
-        table = np.array([where[i] for i in robot.tolist()], np.int64).reshape(-1, 3)
-        vertex, edge, piece = table.T
-        problem = self._context.inputs.problem
-        ends = np.append(problem.edge_uv, [[0, 0]], axis=0)[edge].sum(axis=1)
-        ap = before.load_ap[stays] if before is not None else none
-        visit = [self.expected_visit(i) for i in robot.tolist()]
-        return SlotView(
-            slot=slot,
-            robot=robot,
-            vertex=vertex,
-            next_vertex=np.where(edge >= 0, ends - vertex, vertex),
-            edge=edge,
-            piece=piece,
-            slots=np.where(edge >= 0, np.append(problem.edge_slots, 1)[edge], 1),
-            moves=np.zeros(len(stays), np.bool_),
-            visit=np.array(visit, np.int64),
-            advances=np.zeros(len(stays), np.bool_),
-            arrived=np.zeros(len(stays), np.bool_),
-            ap=ap,
-            load_ap=ap,
-            start_m=np.empty((0, 2)),
-            end_m=np.empty((0, 2)),
-        ).placed(self._context.inputs.problem.xy_m)
-
-    def _pieces(
-        self, robot: Ints, vertex: Ints, edge: Ints, slots: Ints, ap: Ints
-    ) -> tuple[Ints, Ints]:
-        """Which slot of its crossing each robot is in, and the AP it counts for (§1.6)."""
-        piece, load_ap = np.zeros(len(robot), np.int64), ap.copy()
-        if self._view is None:
-            return piece, load_ap
-        before = self._view
-        here, there = _common(robot, before.robot)
-        gone_on = before.piece[there] + before.moves[there]
-        goes_on = (
-            (edge[here] >= 0)
-            & (edge[here] == before.edge[there])
-            & (vertex[here] == before.vertex[there])
-            & (gone_on < slots[here])
-            & (gone_on > 0)
-        )
-        piece[here[goes_on]] = gone_on[goes_on]
-        at, then = here[goes_on], there[goes_on]
-        load_ap[at] = np.where(
-            self.unplanned[robot[at]] | (ap[at] < 0), ap[at], before.load_ap[then]
-        )
-        return piece, load_ap
-
     def _check_plan(self, view: SlotView) -> None:
         """Visits are a prefix of the path in force, and every state is the path's (page 5).
 
@@ -390,7 +295,7 @@ class StateCheck:
         robot: Ints = np.array(robots, np.int64)
         known = np.isin(view.robot, robot)
         states = [self._states[i] for i in robots]
-        visits, rows = [], []
+        rows = []
         for i, state in zip(robots, states, strict=True):
             walk = itinerary.walks[i]
             assert walk is not None
@@ -406,11 +311,10 @@ class StateCheck:
                 activity = HELD
             else:
                 activity = MOVING if edge >= 0 else WAITING
-            later = visit + (int(problem.edge_slots[edge]) - piece if piece > 0 else 0)
-            visits.append(visit)
-            rows.append((visit, vertex, on_edge, leads_to, int(walk.ap[visit]),
-                         int(walk.ap[min(later, walk.last)]), activity))  # fmt: skip
-        columns = list(zip(*rows, strict=True)) or [()] * 7
+            serving = self._serving.of(i)
+            serves = int(walk.ap[visit] if serving is None else serving.first[visit])
+            rows.append((visit, vertex, on_edge, leads_to, serves, activity))
+        columns = list(zip(*rows, strict=True)) or [()] * 6
 
         def compare(what: str, found: list[int] | list[str], expected: Sequence[object]) -> None:
             values, wanted = np.array(found), np.array(expected)
@@ -421,73 +325,18 @@ class StateCheck:
         compare("vertex", [s.vertex for s in states], columns[1])
         compare("edge", [s.edge for s in states], columns[2])
         compare("next vertex", [s.next_vertex for s in states], columns[3])
-        compare("activity", [s.activity for s in states], columns[6])
+        compare("activity", [s.activity for s in states], columns[5])
         if not context.disturbed:
             compare("waits for", [s.waits_for for s in states], [""] * len(states))
             compare("cause", [s.cause for s in states], [""] * len(states))
 
-        # Amid a crossing of several slots the next AP may serve already; its end is in the plan.
-        # Where the radio is disturbed, `validate_radio` follows who serves.
-        served = view.ap[known]
-        planned, ahead = (np.array(columns[k], np.int64) for k in (4, 5))
-        wrong = (served != planned) & (served != ahead)
-        wrong &= not self._truth.affects_radio
+        # Where the radio is disturbed, `validate_handovers` follows who serves.
+        served, planned = view.ap[known], np.array(columns[4], np.int64)
+        off = served != planned
+        wrong = off & (not self._truth.affects_radio)
         names = np.array([*context.start.aps, "none"])
         context.each(_PLAN, view.slot, robot, wrong, "AP", names[served], names[planned])
-        self.deviates[robot] = (served != planned) & (served != ahead)
-
-    def _check_moves(self, view: SlotView) -> None:
-        """Every move is along an edge of G, from where the robot was (§1.1)."""
-        context = self._context
-        problem = context.inputs.problem
-        crosses = view.edge >= 0
-        uv = np.append(problem.edge_uv, [[-1, -1]], axis=0)[view.edge]
-        ahead = (view.vertex == uv[:, 0]) & (view.next_vertex == uv[:, 1])
-        back = (view.vertex == uv[:, 1]) & (view.next_vertex == uv[:, 0])
-        back &= ~np.append(problem.edge_oneway, False)[view.edge]
-        fine = np.where(crosses, ahead | back, view.vertex == view.next_vertex)
-        self._each_move(view, view.robot, ~fine, view.next_vertex, view.vertex)
-
-        before = self._view
-        if before is None:
-            start = problem.start[view.robot].astype(np.int64)
-            self._each_move(view, view.robot, view.vertex != start, view.vertex, start)
-            return
-        here, there = _common(view.robot, before.robot)
-        gone_on = before.piece[there] + before.moves[there]
-        amid = (before.edge[there] >= 0) & (gone_on > 0) & (gone_on < before.slots[there])
-        done = before.moves[there] & (gone_on >= before.slots[there])
-        expected = np.where(done, before.next_vertex[there], before.vertex[there])
-        jumped = view.vertex[here] != expected
-        jumped |= amid & (view.edge[here] != before.edge[there])
-        self._each_move(view, view.robot[here], jumped, view.vertex[here], expected)
-
-    def _each_move(
-        self, view: SlotView, robots: Ints, wrong: Bools, found: Ints, expected: Ints
-    ) -> None:
-        what = "off the edges of G: at vertex"
-        self._context.each("§1.1", view.slot, robots, wrong, what, found, expected)
-
-    def _check_places(self, view: SlotView) -> None:
-        """Nobody shares a vertex or an edge."""
-        stands, crosses = view.piece == 0, view.edge >= 0
-        for rule, place, at, here in (
-            ("§1.2", "vertex", view.vertex, stands),
-            ("§1.3", "edge", view.edge, crosses),
-        ):
-            self._context.checks.count(STEP, rule, int(here.sum()))
-            robots, where = view.robot[here], at[here]
-            if len(np.unique(where)) == len(where):
-                continue
-            groups: dict[int, list[str]] = defaultdict(list)
-            for i, v in zip(robots.tolist(), where.tolist(), strict=True):
-                groups[v].append(self._context.name(i))
-            for v, names in groups.items():
-                if len(names) > 1:
-                    found = f"{len(names)} robots on {place} {v}"
-                    self._find(rule, found, "at most one", view.slot, ", ".join(names))
-                    for name in names:
-                        self._incidents.expect("collision", view.slot, (name,))
+        self.deviates[robot] = off
 
     def _check_loads(self, view: SlotView) -> None:
         """Loads are counts of robots, and within capacity (§1.6)."""
@@ -528,9 +377,3 @@ class StateCheck:
                     slot,
                     context.name(i),
                 )
-
-
-def _common(a: Ints, b: Ints) -> tuple[Ints, Ints]:
-    """Indices into two ascending lists of the elements they share."""
-    _, in_a, in_b = np.intersect1d(a, b, assume_unique=True, return_indices=True)
-    return in_a.astype(np.int64), in_b.astype(np.int64)

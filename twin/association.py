@@ -146,9 +146,17 @@ class Association:
 
 
 def associate(
-    problem: Problem, order: VisitOrder, prediction: Prediction, steps: int
+    problem: Problem,
+    order: VisitOrder,
+    prediction: Prediction,
+    steps: int,
+    serving: Ints | None = None,
 ) -> Association:
-    """Choose the instant of every handover of a plan (see the head of this file)."""
+    """Choose the instant of every handover of a plan (see the head of this file).
+
+    A route may begin amid a crossing at whose end it has another AP, and that one serves already:
+    then the handover has been made. `serving` (N,) are the APs that serve as the plan begins.
+    """
     serves, to = order.ap.copy(), order.ap.copy()
     step = np.zeros(len(serves), np.int32)
     changes = (order.robot[1:] == order.robot[:-1]) & (order.ap[1:] != order.ap[:-1])
@@ -182,6 +190,13 @@ def associate(
         to[at_row] = order.ap[rows[of] + 1]
         for r, end in zip(at_row.tolist(), rows[of].tolist(), strict=True):
             serves[r + 1 : end + 1] = to[r + 1 : end + 1] = to[r]
+    if serving is not None:
+        for end in rows[~inside].tolist():
+            now = serving[order.robot[end]]
+            if now == order.ap[end + 1]:
+                first = int(order.first_row[order.robot[end]])
+                serves[first : end + 1] = to[first : end + 1] = now
+                step[first : end + 1] = 0
     return Association(serves, step, to)
 
 

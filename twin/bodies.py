@@ -85,3 +85,25 @@ class Bodies:
             else:
                 self._robot[i] = self.scene.add_body(center, self._half, yaw)
         self._bodies = np.array([self._robot[i] for i in robots], np.int32)
+
+
+def touched_blockages(
+    disturbances: Disturbances, slot: int, instants: Floats, motion: SlotMotion
+) -> dict[int, str]:
+    """The bodies that touch a blockage at some instant of a slot, and its name.
+
+    Args:
+        disturbances: of the run.
+        slot: which.
+        instants: (s,) its instants, as fractions of it.
+        motion: of the n bodies in it.
+    """
+    found: dict[int, str] = {}
+    for step, fraction in enumerate(instants.tolist()):
+        boxes = disturbances.boxes(slot, step)
+        if len(boxes):
+            places = motion.xy_m(np.array([fraction]))[:, 0]
+            hit = disturbances.touched(boxes, places, motion.heading_rad)
+            for k in np.flatnonzero(hit >= 0).tolist():
+                found.setdefault(k, boxes.name[hit[k]])
+    return found

@@ -81,6 +81,7 @@ from twin.cli_options import (
     parse_objective,
     parse_overrides,
     require_suffix,
+    require_world,
     run_overrides,
 )
 from twin.cli_radio import radio
@@ -165,7 +166,7 @@ def run(
         from twin.outputs import RunFiles, check_run_folder
         from twin.pipeline import travel
 
-        require_suffix(world, (".toml",), "a world file")
+        require_world(world)
         folder = output or Path("runs") / world.stem
         overrides = _overrides(settings, objective) | run_overrides(policy, replan)
         check_run_folder(RunFiles(folder), overwrite=overwrite)

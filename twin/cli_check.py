@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.text import Text
 
 from twin.cli_console import DONE, NO, Meter, guarded, print_json, stdout
-from twin.cli_options import AsJson, Debug, Overwrite, Seed, Set, parse_overrides, require_suffix
+from twin.cli_options import AsJson, Debug, Overwrite, Seed, Set, parse_overrides, require_world
 from twin.errors import TwinError
 
 if TYPE_CHECKING:
@@ -52,14 +52,13 @@ def check(
         if world is None:
             raise TwinError("give a WORLD.toml to check, or --explain with the code of a finding")
         from twin.instance import seed_overrides
-        from twin.outputs import check_file
+        from twin.outputs import PICTURES, check_targets
         from worlds.check import check_world
         from worlds.check_codes import parse_codes
         from worlds.toml_file import read_source, read_world
 
-        require_suffix(world, (".toml",), "a world file")
-        if output is not None:
-            check_file(output, (".png", ".svg"), overwrite=overwrite)
+        require_world(world)
+        check_targets((output, PICTURES), overwrite=overwrite)
         ignored = parse_codes(ignore)
         with Meter() as meter:
             meter.phase("world")

@@ -137,3 +137,8 @@ def require_suffix(path: Path, suffixes: tuple[str, ...], kind: str) -> None:
     """
     if path.suffix.lower() not in suffixes:
         raise TwinError(f"{path}: is not {kind}; its name must end in {' or '.join(suffixes)}")
+
+
+def require_world(path: Path) -> None:
+    """Refuse what is no world file by its name; see `require_suffix`."""
+    require_suffix(path, (".toml",), "a world file")

@@ -21,7 +21,7 @@ from twin.cli_options import (
     Set,
     WorldFile,
     parse_overrides,
-    require_suffix,
+    require_world,
 )
 from twin.cli_survey import Compare, compare_survey
 from twin.cli_tables import Facts, Json, names, number, per_cent, verdict
@@ -77,15 +77,12 @@ def radio(
     """Cast the rays of a world: which AP reaches where, and where are the holes."""
     with guarded(debug):
         from twin.instance import Stopwatch, open_radio
-        from twin.outputs import check_file, staged, write_text
+        from twin.outputs import PICTURES, check_targets, staged, write_text
 
-        require_suffix(world, (".toml",), "a world file")
+        require_world(world)
         if at is not None and (output or table or require or plan):
             raise TwinError("--at explains one point; leave -o, --csv, --require and --plan out")
-        if output is not None:
-            check_file(output, (".png", ".svg"), overwrite=overwrite)
-        if table is not None:
-            check_file(table, (".csv",), overwrite=overwrite)
+        check_targets((output, PICTURES), (table, (".csv",)), overwrite=overwrite)
         requirements = parse_requirements(require)
         overrides = parse_overrides(settings)
         if compare is not None:

@@ -19,7 +19,7 @@ from twin.cli_options import (
     Set,
     WorldFile,
     parse_overrides,
-    require_suffix,
+    require_world,
 )
 from twin.cli_tables import GOOD, PLAIN, Facts, Json, names, per_cent
 from twin.errors import TwinError
@@ -111,15 +111,12 @@ def suggest(
     """Say where further access points should hang, or which are not needed, and prove it."""
     with guarded(debug):
         from twin.instance import Stopwatch, open_radio
-        from twin.outputs import check_file, staged, write_text
+        from twin.outputs import PICTURES, check_targets, staged, write_text
         from worlds.placement import Ask
 
-        require_suffix(world, (".toml",), "a world file")
+        require_world(world)
         _check_options(add, coverage, remove, redundant, fresh, (grid, walls, mounts))
-        if output is not None:
-            check_file(output, (".toml",), overwrite=overwrite)
-        if picture is not None:
-            check_file(picture, (".png", ".svg"), overwrite=overwrite)
+        check_targets((output, (".toml",)), (picture, PICTURES), overwrite=overwrite)
         overrides = parse_overrides(settings)
         share = 1.0 if coverage is None else coverage
         ask = Ask(add=add, share=share, k=k, failure=redundant, seconds=limit)

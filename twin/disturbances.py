@@ -13,25 +13,22 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
-from statistics import NormalDist
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twin.association import Instants, nanoseconds
-from worlds.boxes import TOUCH_M, footprint_hits, swept
+from twin.blockages import NEVER_NS, Blockage, end_ns, strips
+from twin.delays import DelayDraws
+from worlds.boxes import footprint_hits, swept
 from worlds.errands import robot_height_m
 from worlds.events import (
-    DELAYS_STREAM,
-    LENGTHS_STREAM,
     Delays,
     Event,
     event_name,
 )
 from worlds.floor import Boxes
-from worlds.streams import stream
 
 if TYPE_CHECKING:
     from planner.problem import Problem
@@ -40,9 +37,6 @@ if TYPE_CHECKING:
 Bools = NDArray[np.bool_]
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
-
-_CHUNK = 256  # random numbers drawn at once
-_NEVER_NS = 2**62
 
 
 def declare(world: World, events: Iterable[Event] = (), delays: Delays | None = None) -> World:
@@ -62,84 +56,6 @@ def declare(world: World, events: Iterable[Event] = (), delays: Delays | None = 
         return type(world).model_validate(data)
     except ValidationError as error:
         raise WorldError(faults_of(error, data)) from None
-
-
-@dataclass(frozen=True)
-class Blockage:
-    """A box in the way.
-
-    Attributes:
-        name: in messages.
-        size_m: along its heading and across [m].
-        z_m, height_m: of its centre, and of the box [m].
-        from_ns, to_ns: when it is there.
-        times_s: (k,) when it is at each way-point, ascending.
-        way_m: (k, 2) the way-points; one for a blockage that stands.
-        yaw_rad: (k,) heading from each way-point on.
-    """
-
-    name: str
-    size_m: tuple[float, float]
-    z_m: float
-    height_m: float
-    from_ns: int
-    to_ns: int
-    times_s: Floats
-    way_m: Floats
-    yaw_rad: Floats
-
-    @classmethod
-    def of(cls, event: Event, name: str) -> Blockage:
-        """What an event of kind "blockage" declares."""
-        assert event.size_m is not None  # the model asks for it
-        way = np.array(event.way_m or [event.center_m], np.float64)
-        legs = np.diff(way, axis=0)
-        lengths = np.hypot(legs[:, 0], legs[:, 1])
-        times = event.from_s + np.concatenate([[0.0], np.cumsum(lengths)]) / event.speed_m_s
-        yaw = np.arctan2(legs[:, 1], legs[:, 0])
-        yaw = np.append(yaw, yaw[-1]) if len(yaw) else np.array([math.radians(event.yaw_deg)])
-        to_ns = _NEVER_NS if event.to_s is None else nanoseconds(event.to_s)
-        z = event.base_m + event.height_m / 2.0
-        return cls(
-            name,
-            event.size_m,
-            z,
-            event.height_m,
-            nanoseconds(event.from_s),
-            to_ns,
-            times,
-            way,
-            yaw,
-        )
-
-    def there(self, t_ns: int) -> bool:
-        """Whether it is there at an instant."""
-        return self.from_ns <= t_ns < self.to_ns
-
-    def moves(self, begin_s: float, end_s: float) -> bool:
-        """Whether it moves within a span of time."""
-        return bool(begin_s < self.times_s[-1] and end_s > self.times_s[0])
-
-    def pose(self, t_s: float) -> tuple[float, float, float]:
-        """x, y [m] and yaw [rad] at a time, by linear motion between way-points."""
-        k = int(np.clip(np.searchsorted(self.times_s, t_s, "right") - 1, 0, len(self.way_m) - 1))
-        x, y = self.way_m[k]
-        if k + 1 < len(self.way_m):
-            span = self.times_s[k + 1] - self.times_s[k]
-            share = min(max((t_s - self.times_s[k]) / span, 0.0), 1.0)
-            x, y = (1.0 - share) * self.way_m[k] + share * self.way_m[k + 1]
-        return float(x), float(y), float(self.yaw_rad[k])
-
-    def sweeps(self, begin_s: float, end_s: float) -> tuple[Floats, Floats, Floats]:
-        """Centres (s, 2), half extents (s, 2), yaws (s,) of the strips covered in a span."""
-        inner = self.times_s[(self.times_s > begin_s) & (self.times_s < end_s)]
-        stops = [begin_s, *inner.tolist(), end_s]
-        strips = [(*self.pose(a)[:2], *self.pose(b)[:2]) for a, b in pairwise(stops)]
-        legs = np.array(strips).reshape(-1, 4)
-        center, half, yaw = swept(legs[:, :2], legs[:, 2:], *self.size_m)
-        still = np.hypot(*(legs[:, 2:] - legs[:, :2]).T) <= TOUCH_M
-        yaw[still] = [self.pose(t)[2] for t, flag in zip(stops, still, strict=False) if flag]
-        return center, half, yaw
 
 
 @dataclass(frozen=True)
@@ -169,7 +85,7 @@ class Disturbances:
         ap = {name: a for a, name in enumerate(problem.ap_ids)}
         events = world.event
         self._outages = [
-            (ap[e.ap], nanoseconds(e.from_s), _end_ns(e))
+            (ap[e.ap], nanoseconds(e.from_s), end_ns(e))
             for e in events
             if e.kind == "ap-outage" and e.ap in ap
         ]
@@ -193,7 +109,7 @@ class Disturbances:
             world.run.robots_block and world.hall.body.height_m > world.hall.body.antenna_m
         )
         self._timeline = self._times()
-        self._draws = _Draws(world, problem.robot_ids) if world.delays.p_delay > 0 else None
+        self._draws = DelayDraws(world, problem.robot_ids) if world.delays.p_delay > 0 else None
         body = world.hall.body
         self._body_m = (body.length_m, body.width_m)
         self._height_m = robot_height_m(world)
@@ -241,7 +157,7 @@ class Disturbances:
         grace_ns = nanoseconds(2 * self._instants.slot_s + self.world.run.time_to_trigger_s)
         spans = [(begin, end) for _, begin, end in self._outages]
         spans += [(b.from_ns, b.to_ns) for b in self.blockages]
-        if any(begin <= now_ns < end + grace_ns for begin, end in spans if end < _NEVER_NS):
+        if any(begin <= now_ns < end + grace_ns for begin, end in spans if end < NEVER_NS):
             return True
         return any(b.there(now_ns) and b.times_s[-1] > now_s for b in self.blockages)
 
@@ -314,7 +230,7 @@ class Disturbances:
         begin, end = self._instants.t_s(slot), self._instants.t_s(slot + 1)
         begin_ns, end_ns = nanoseconds(begin), nanoseconds(end)
         there = [b for b in self.blockages if b.from_ns < end_ns and b.to_ns > begin_ns]
-        boxes = _strips((b, b.sweeps(begin, end)) for b in there)
+        boxes = strips((b, b.sweeps(begin, end)) for b in there)
         # The same boxes block the same places for as long as they all stand.
         moving = any(b.moves(begin, end) for b in there)
         return self._blocked(slot if moving else boxes.name, boxes)
@@ -324,7 +240,7 @@ class Disturbances:
         now_s = self._instants.t_s(slot)
         stand = [self.blockages[k] for k in self.standing(slot)]
         key = ("stand", *(b.name for b in stand))
-        return self._blocked(key, _strips((b, b.sweeps(now_s, now_s)) for b in stand))
+        return self._blocked(key, strips((b, b.sweeps(now_s, now_s)) for b in stand))
 
     def _blocked(self, key: object, boxes: Boxes) -> tuple[Bools, Bools]:
         if not len(boxes):
@@ -359,60 +275,3 @@ class Disturbances:
         return footprint_hits(
             boxes, xy_m, (length / 2.0, width / 2.0), heading_rad, body_height_m=self._height_m
         )
-
-
-def _strips(of: Iterable[tuple[Blockage, tuple[Floats, Floats, Floats]]]) -> Boxes:
-    """The strips as boxes."""
-    names, centers, halves, yaws = list[str](), list[Floats](), list[Floats](), list[float]()
-    for b, (center, half, yaw) in of:
-        for c, h, phi in zip(center, half, yaw, strict=True):
-            names.append(b.name)
-            centers.append(np.array([*c, b.z_m]))
-            halves.append(np.array([*h, b.height_m / 2.0]))
-            yaws.append(float(phi))
-    return Boxes(
-        tuple(names),
-        np.array(centers).reshape(-1, 3),
-        np.array(halves).reshape(-1, 3),
-        np.array(yaws),
-    )
-
-
-def _end_ns(event: Event) -> int:
-    return _NEVER_NS if event.to_s is None else nanoseconds(event.to_s)
-
-
-class _Draws:
-    """The delays of all robots by chance, slot after slot (see `worlds.events`)."""
-
-    def __init__(self, world: World, robot_ids: tuple[str, ...]) -> None:
-        self._delays = world.delays
-        seed = world.run.seed
-        self._luck = [stream(seed, DELAYS_STREAM, name) for name in robot_ids]
-        self._length = [stream(seed, LENGTHS_STREAM, name) for name in robot_ids]
-        p = self._delays.p_delay
-        self._chance = p if self._delays.delay_event == "bernoulli" else -math.expm1(-p)
-        self._first = -_CHUNK  # slot of the chunk's first column
-        self._numbers: Floats = np.empty((2, len(robot_ids), 0))
-
-    def begin(self, slot: int) -> list[tuple[int, int]]:
-        """(robot, slots) of the delays that begin in a slot; slots are asked for in order."""
-        while slot >= self._first + _CHUNK:
-            self._numbers = np.array(
-                [[rng.random(_CHUNK) for rng in rngs] for rngs in (self._luck, self._length)]
-            )
-            self._first += _CHUNK
-        luck, length = self._numbers[:, :, slot - self._first]
-        return [
-            (int(i), self._slots(float(length[i])))
-            for i in np.flatnonzero(luck < self._chance).tolist()
-        ]
-
-    def _slots(self, w: float) -> int:
-        low, high = self._delays.min_delay, self._delays.max_delay
-        if self._delays.delay_time == "uniform":
-            return low + math.floor(w * (high - low + 1))
-        if low == high or not 0.0 < w < 1.0:
-            return low
-        length = NormalDist((low + high) / 2.0, (high - low) / 6.0).inv_cdf(w)
-        return min(max(round(length), low), high)

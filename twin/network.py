@@ -3,7 +3,8 @@
 Which AP serves at which instant is `twin.association`'s choice, as long as nothing disturbs it.
 While an interruption by a handover lasts, a link is HANDOVER; else CONNECTED where the SNR, by rays
 cast now, reaches the threshold, and OUTAGE below it; NONE where no AP serves. Data flow on
-connected links only. What is measured at an instant holds until the next one.
+connected links only; under `rate_sharing = "equal"` an AP's airtime is shared equally by all it
+serves at the instant. What is measured at an instant holds until the next one.
 
 **When the plan's AP does not serve.** A robot whose AP goes out has none from that instant on. What
 it wishes for at an instant, unless an interruption lasts, is
@@ -25,7 +26,6 @@ In runs in which nothing can disturb the radio none of this is asked, and links 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -33,6 +33,8 @@ from numpy.typing import NDArray
 
 from logs.records import CONNECTED, HANDOVER, LINKS, NO_AP, OUTAGE
 from twin.association import Instants, Prediction, associate, nanoseconds
+from twin.link_changes import LinkChanges, Outage, SlotRadio, Switch
+from twin.planned_links import PlannedLinks
 from worlds.channel import data_rate_mbps
 from worlds.link import LinkModel
 
@@ -40,7 +42,7 @@ if TYPE_CHECKING:
     from planner.problem import Problem
     from twin.bodies import Bodies
     from twin.disturbances import Disturbances
-    from twin.motion import SlotMotion
+    from twin.motion import Roads, SlotMotion
     from twin.order import VisitOrder
     from worlds.world import World
 
@@ -53,91 +55,6 @@ _CONNECTED, _HANDOVER, _OUTAGE, _NO_AP = (
 )
 NO_SNR_DB = -1000.0
 """SNR, experienced and predicted, of a robot that no AP serves [dB]."""
-
-
-@dataclass(frozen=True)
-class Outage:
-    """A time without connection.
-
-    Attributes:
-        begin_s, end_s: from the first sample below the threshold to the next that is not [s].
-        lasted_s: the same without the interruptions by handovers in it [s].
-        ap: that served when it began, −1 if none did.
-        least_db: the lowest SNR in it.
-    """
-
-    begin_s: float
-    end_s: float
-    lasted_s: float
-    ap: int
-    least_db: float
-
-
-@dataclass(frozen=True)
-class Change:
-    """What happens to one robot's link at an instant within a slot.
-
-    Attributes:
-        t_s: when [s].
-        step: the slot's instant at or before `t_s`.
-        handover: (from, to, end [s]) if one begins; from −1 where no AP served.
-        planned: the handover is the plan's.
-        outage: the one that ends, if any.
-        state: (AP, link, SNR [dB], rate [Mbit/s]) from now on; None if it stays as it was, or the
-            slot that begins now will say.
-    """
-
-    t_s: float
-    step: int
-    handover: tuple[int, int, float] | None = None
-    outage: Outage | None = None
-    planned: bool = True
-    state: tuple[int, int, float, float] | None = None
-
-
-@dataclass(frozen=True)
-class SlotRadio:
-    """The radio of one slot: arrays (n bodies, steps instants), and what changes within it.
-
-    Attributes:
-        ap, link: int32; ap −1 is none, link indexes `LINKS`.
-        deviates: (n,) bool, at the slot's beginning another AP than the plan's serves, or none.
-        snr_db, map_snr_db: float64, experienced and predicted [dB].
-        rate_mbps: float64.
-        changes: for a body's index, its changes in time order. Those at the slot's first instant
-            only end an outage; those at its last only hand over.
-    """
-
-    ap: Ints
-    link: Ints
-    snr_db: Floats
-    map_snr_db: Floats
-    rate_mbps: Floats
-    deviates: Bools
-    changes: dict[int, list[Change]] = field(default_factory=dict)
-
-
-@dataclass
-class _OpenOutage:
-    begin_s: float
-    ap: int
-    least_db: float
-    interruptions: list[tuple[float, float]]
-
-    def close(self, end_s: float) -> Outage:
-        spans = ((max(b, self.begin_s), min(e, end_s)) for b, e in self.interruptions)
-        lost = sum(max(0.0, e - b) for b, e in spans)
-        return Outage(self.begin_s, end_s, end_s - self.begin_s - lost, self.ap, self.least_db)
-
-
-@dataclass(frozen=True)
-class _Switch:
-    """A handover within a slot: at which instant (1 … steps), from and to which AP."""
-
-    step: int
-    before: int
-    after: int
-    planned: bool
 
 
 class Network:
@@ -157,6 +74,7 @@ class Network:
         instants: Instants,
         bodies: Bodies,
         disturbances: Disturbances,
+        roads: Roads,
     ) -> None:
         self._radio, self._run = world.radio, world.run
         self._interruption_s = world.run.interruption_s
@@ -165,23 +83,27 @@ class Network:
         self._instants = instants
         self._bodies = bodies
         self._disturbances = disturbances
-        self._links = LinkModel(world)
+        self._model = LinkModel(world)
         n = problem.n_robots
         self.serving: Ints = np.full(n, -1, np.int32)
         self.connected: Bools = np.ones(n, np.bool_)
-        self._interruption = [(0.0, 0.0)] * n  # the last one of each robot: from, to [s]
-        self._until_ns = np.zeros(n, np.int64)  # its end
+        self._changes = LinkChanges(world, instants, n)
         self._wish = np.full(n, -1, np.int32)  # AP it wishes for
         self._wish_ns = np.zeros(n, np.int64)  # since when
-        self._outages: dict[int, _OpenOutage] = {}
-        self.adopt(order)
+        self.adopt(order, roads)
         there = np.flatnonzero(order.arrival >= 0)
         self.serving[there] = order.ap[order.first_row[there]]
 
-    def adopt(self, order: VisitOrder) -> None:
-        """Serve by another plan from the next slot on."""
+    def adopt(self, order: VisitOrder, roads: Roads) -> None:
+        """Serve by another plan, of which these are the ways, from the next slot on."""
         self._order = order
-        self._associations = associate(self._problem, order, self._prediction, self._instants.steps)
+        self._associations = associate(
+            self._problem, order, self._prediction, self._instants.steps, self.serving
+        )
+        self._planned = PlannedLinks(
+            self._model, self._prediction, order, self._associations, roads, self._instants,
+            self._bodies.scene,
+        )  # fmt: skip
 
     @property
     def pending(self) -> bool:
@@ -201,90 +123,81 @@ class Network:
         With `only_begin` nothing happens after its first instant: the run ends there.
         """
         instants, association = self._instants, self._associations
-        steps = np.arange(instants.steps)
-        times_ns = np.array([nanoseconds(instants.t_s(slot, j)) for j in (*steps, len(steps))])
-        step = np.where(advance[motion.robot], association.step[motion.row], 0)
-        changed = (step > 0)[:, None] & (steps >= step[:, None])
-        planned = np.where(changed, association.to[motion.row, None],
-                           association.serves[motion.row, None]).astype(np.int32)  # fmt: skip
+        steps = instants.steps
+        times_ns = np.array([nanoseconds(instants.t_s(slot, j)) for j in range(steps + 1)])
+        moves = advance[motion.robot]
+        step = np.where(moves, association.step[motion.row], 0)
         to = association.to[motion.row]
-        xy = motion.xy_m(instants.fractions)
-        fraction = motion.fraction(instants.fractions)
-        place = (motion.edge, fraction, motion.vertex)
         if self._disturbances.affects_radio:
-            ap, snr, predicted, link, switches = self._live(
-                slot, motion, planned, step, to, times_ns, xy, place
-            )
+            ap, snr, predicted, link, switches = self._live(slot, motion, step, to, times_ns)
         else:
-            ap = planned
-            snr, predicted = self._undisturbed(motion, ap, step, xy, place)
+            ap, snr, predicted = self._planned.of(motion, moves)
             switches = {
-                k: _Switch(int(step[k]), int(ap[k, step[k] - 1]), int(to[k]), True)
+                k: Switch(int(step[k]), int(ap[k, step[k] - 1]), int(to[k]), True)
                 for k in np.flatnonzero(step).tolist()
             }
-            end_ns = times_ns[step] + nanoseconds(self._interruption_s)
-            until = np.where(changed, end_ns[:, None], self._until_ns[motion.robot, None])
-            link = np.where(
-                times_ns[:-1] < until,
-                _HANDOVER,
-                np.where(snr < self._prediction.threshold_db, _OUTAGE, _CONNECTED),
-            )
+            link = self._link(motion, snr, step, times_ns)
         below = snr < self._prediction.threshold_db
-        rate = np.where(link == _CONNECTED, data_rate_mbps(snr, self._radio), 0.0)
+        rate = data_rate_mbps(snr, self._radio, self._served(ap))
         radio = SlotRadio(
             ap,
             link.astype(np.int32),
             snr,
             predicted,
-            rate,
+            np.where(link == _CONNECTED, rate, 0.0),
             ap[:, 0] != association.serves[motion.row],
         )
 
         eventful = (
-            (self._until_ns[motion.robot] > times_ns[0])
+            (self._changes.until_ns[motion.robot] > times_ns[0])
             | (link != link[:, :1]).any(axis=1)
             | (ap != ap[:, :1]).any(axis=1)
             | below.any(axis=1)
         )
         eventful[list(switches)] = True
-        for i in self._outages:  # it may end at the slot's first instant
+        for i in self._changes.outages:  # it may end at the slot's first instant
             eventful |= motion.robot == i
         for k in np.flatnonzero(eventful).tolist():
             seen = below[k, :1] if only_begin else below[k]
-            changes = self._changes(
+            changes = self._changes.of(
                 slot, int(motion.robot[k]), k, switches.get(k), seen, times_ns, radio
             )
             if changes:
                 radio.changes[k] = changes
         self.serving[motion.robot] = ap[:, -1]
         for k, switch in switches.items():
-            if switch.step == len(steps):
+            if switch.step == steps:
                 self.serving[motion.robot[k]] = switch.after
         if self._disturbances.affects_radio:  # else outages are those the plan knows of
             self.connected[motion.robot] = ((link == _CONNECTED) | (link == _HANDOVER)).any(axis=1)
         return radio
 
-    def _undisturbed(
-        self,
-        motion: SlotMotion,
-        ap: Ints,
-        step: Ints,
-        xy: Floats,
-        place: tuple[Ints, Floats, Ints],
-    ) -> tuple[Floats, Floats]:
-        """(n, steps) SNR experienced and predicted, in a scene in which nothing moves [dB]."""
-        steps = np.arange(ap.shape[1])
-        predicted = self._prediction.snr_db(*place, ap)
-        fading = self._prediction.fading_db(*place, ap)
-        # One ray tells all of a robot that stands.
-        moves = motion.begin != motion.end
-        ask = moves[:, None] | (steps == 0) | (steps == step[:, None])
-        snr = np.zeros(ap.shape)
-        snr[ask], _ = self._links.measure(
-            self._bodies.scene, ap[ask], self._links.antenna_m(xy[ask]), fading[ask]
-        )
-        asked = np.maximum.accumulate(np.where(ask, steps, 0), axis=1)
-        return np.take_along_axis(snr, asked, axis=1), predicted
+    def end_outage(self, i: int, now: float) -> Outage | None:
+        """End robot i's outage, because it has left or the run is over; None if it has none."""
+        return self._changes.end_outage(i, now)
+
+    def _served(self, ap: Ints) -> NDArray[np.intp] | int:
+        """(n, steps) robots that the AP of each one serves at the instant; 1 if they share none."""
+        if self._radio.rate_sharing == "none":
+            return 1
+        steps = ap.shape[1]
+        place = (ap + 1) * steps + np.arange(steps)  # who has no AP has no rate, either
+        return np.asarray(np.bincount(place.ravel())[place])
+
+    def _link(
+        self, motion: SlotMotion, snr: Floats, step: NDArray[np.intp], times_ns: NDArray[np.int64]
+    ) -> Ints:
+        """(n, steps) links of a plan that is executed as it is."""
+        link = np.where(snr < self._prediction.threshold_db, _OUTAGE, _CONNECTED)
+        until = self._changes.until_ns[motion.robot]
+        hands_over = step > 0
+        if hands_over.any() or (until > times_ns[0]).any():
+            steps = np.arange(snr.shape[1])
+            changed = hands_over[:, None] & (steps >= step[:, None])
+            end_ns = times_ns[step] + nanoseconds(self._interruption_s)
+            interrupted = times_ns[:-1] < np.where(changed, end_ns[:, None], until[:, None])
+            link = np.where(interrupted, _HANDOVER, link)
+        return link
 
     # --- disturbed links ----------------------------------------------------------------------
 
@@ -292,31 +205,30 @@ class Network:
         self,
         slot: int,
         motion: SlotMotion,
-        planned: Ints,
-        step: Ints,
+        step: NDArray[np.intp],
         to: Ints,
         times_ns: NDArray[np.int64],
-        xy: Floats,
-        place: tuple[Ints, Floats, Ints],
-    ) -> tuple[Ints, Floats, Floats, Ints, dict[int, _Switch]]:
+    ) -> tuple[Ints, Floats, Floats, Ints, dict[int, Switch]]:
         """AP, SNR, the map's SNR and link at each instant, and handovers, instant by instant.
 
         Args:
             slot: which.
             motion: of the n bodies.
-            planned: (n, steps) AP of the plan.
             step, to: (n,) instant and AP of the plan's handovers, 0 for none.
             times_ns: (steps + 1,) of the instants.
-            xy: (n, steps, 2) places [m].
-            place: edge, fraction and vertex, see `Prediction`.
         """
+        fractions, serves = self._instants.fractions, self._associations.serves[motion.row]
+        changed = (step > 0)[:, None] & (np.arange(len(fractions)) >= step[:, None])
+        planned = np.where(changed, to[:, None], serves[:, None]).astype(np.int32)
+        xy = motion.xy_m(fractions)
+        place = (motion.edge, motion.fraction(fractions), motion.vertex)
         n, steps = planned.shape
         robot = motion.robot
         serving = self.serving[robot].copy()
         ap, link = np.full((n, steps), -1, np.int32), np.zeros((n, steps), np.int32)
         snr, predicted = np.full((n, steps), NO_SNR_DB), np.full((n, steps), NO_SNR_DB)
-        until = self._until_ns[robot].copy()
-        switches: dict[int, _Switch] = {}
+        until = self._changes.until_ns[robot].copy()
+        switches: dict[int, Switch] = {}
         chosen: dict[int, int] = {}  # what unplanned handovers lead to at the next instant
         lasts_ns = nanoseconds(self._interruption_s)
         edge, fraction, vertex = place
@@ -329,10 +241,10 @@ class Network:
             for k in due.tolist():
                 # The AP that serves is the one the plan hands over from, and the next one works.
                 if serving[k] == planned[k, j - 1] and up[to[k]] and k not in switches:
-                    switches[k] = _Switch(j, int(serving[k]), int(to[k]), True)
+                    switches[k] = Switch(j, int(serving[k]), int(to[k]), True)
             for k, target in chosen.items():
                 if k not in switches and up[target]:
-                    switches[k] = _Switch(j, int(serving[k]), target, False)
+                    switches[k] = Switch(j, int(serving[k]), target, False)
                     self._wish[robot[k]] = -1
             for k, switch in switches.items():
                 if switch.step == j:
@@ -368,9 +280,9 @@ class Network:
 
     def _measure(self, body: NDArray[np.intp], ap: Ints, xy: Floats, fading: Floats) -> Floats:
         """(m,) SNR of bodies from an AP each, the scene being as it is now [dB]."""
-        antenna = self._links.antenna_m(xy)
+        antenna = self._model.antenna_m(xy)
         own = self._bodies.handle(body)
-        return self._links.measure(self._bodies.scene, ap, antenna, fading, own)[0]
+        return self._model.measure(self._bodies.scene, ap, antenna, fading, own)[0]
 
     def _wishes(
         self,
@@ -420,75 +332,3 @@ class Network:
         if serving >= 0:
             enough[serving] = False
         return int(np.where(enough, heard, -np.inf).argmax()) if enough.any() else -1
-
-    def _changes(
-        self,
-        slot: int,
-        i: int,
-        k: int,
-        switch: _Switch | None,
-        below: Bools,
-        times_ns: NDArray[np.int64],
-        radio: SlotRadio,
-    ) -> list[Change]:
-        """What happens to robot i, body k, in a slot; enters it into the state of the network."""
-        steps, found = len(below), list[Change]()
-        shown = (int(radio.ap[k, 0]), int(radio.link[k, 0]))
-        for j in range(steps + 1):
-            now = self._instants.t_s(slot, j)
-            end_s, end_ns = self._interruption[i][1], int(self._until_ns[i])
-            if j and times_ns[j - 1] < end_ns < times_ns[j] and radio.ap[k, j - 1] >= 0:
-                # An interruption ends between two instants: what was measured last holds.
-                link = _OUTAGE if below[j - 1] else _CONNECTED
-                snr, ap = float(radio.snr_db[k, j - 1]), int(radio.ap[k, j - 1])
-                rate = 0.0 if below[j - 1] else float(data_rate_mbps(snr, self._radio))
-                found.append(Change(end_s, j - 1, state=(ap, link, snr, rate)))
-                shown = (ap, link)
-            handover, planned = None, True
-            if switch is not None and j == switch.step:
-                handover = (switch.before, switch.after, now + self._interruption_s)
-                planned = switch.planned
-                self._interrupt(i, now)
-            if j == steps:  # the slot is over, or the run
-                if handover:
-                    found.append(Change(now, j, handover, planned=planned))
-                break
-            if radio.ap[k, j] < 0:  # what an interruption was for is lost
-                self._until_ns[i] = min(int(self._until_ns[i]), int(times_ns[j]))
-            outage = self._observe(i, now, bool(below[j]), radio, (k, j))
-            state = None
-            ap, link = int(radio.ap[k, j]), int(radio.link[k, j])
-            if (ap, link) != shown:
-                shown = (ap, link)
-                state = (ap, link, float(radio.snr_db[k, j]), float(radio.rate_mbps[k, j]))
-            if handover or outage or state:
-                found.append(Change(now, j, handover, outage, planned, state))
-        return found
-
-    def _interrupt(self, i: int, now: float) -> None:
-        """A handover of robot i begins; it cuts an interruption that still lasts."""
-        begin, end = self._interruption[i]
-        self._interruption[i] = (now, now + self._interruption_s)
-        self._until_ns[i] = nanoseconds(now) + nanoseconds(self._interruption_s)
-        if i in self._outages:
-            known = self._outages[i].interruptions
-            if known and known[-1] == (begin, end):
-                known[-1] = (begin, min(end, now))
-            known.append(self._interruption[i])
-
-    def _observe(
-        self, i: int, now: float, below: bool, radio: SlotRadio, at: tuple[int, int]
-    ) -> Outage | None:
-        """Open or go on with an outage of robot i, or end the one there is."""
-        if not below:
-            return self.end_outage(i, now)
-        snr = float(radio.snr_db[at])
-        if i not in self._outages:
-            self._outages[i] = _OpenOutage(now, int(radio.ap[at]), snr, [self._interruption[i]])
-        self._outages[i].least_db = min(self._outages[i].least_db, snr)
-        return None
-
-    def end_outage(self, i: int, now: float) -> Outage | None:
-        """End robot i's outage, because it has left or the run is over; None if it has none."""
-        outage = self._outages.pop(i, None)
-        return outage.close(now) if outage else None

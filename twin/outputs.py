@@ -79,6 +79,10 @@ def check_run_folder(files: RunFiles, *, overwrite: bool) -> None:
     check_writable(folder)
 
 
+PICTURES = (".png", ".svg")
+"""What the name of a picture may end in."""
+
+
 def check_file(path: Path, suffixes: tuple[str, ...], *, overwrite: bool) -> None:
     """Make sure that a file can be written, before anything is computed.
 
@@ -99,6 +103,13 @@ def check_file(path: Path, suffixes: tuple[str, ...], *, overwrite: bool) -> Non
     if path.exists() and not overwrite:
         raise TwinError(f"{path}: exists already; choose another name, or add --overwrite")
     check_writable(path.parent)
+
+
+def check_targets(*targets: tuple[Path | None, tuple[str, ...]], overwrite: bool) -> None:
+    """`check_file` for each file that is asked for: (path or None, what it may end in)."""
+    for path, suffixes in targets:
+        if path is not None:
+            check_file(path, suffixes, overwrite=overwrite)
 
 
 def check_writable(folder: Path) -> None:

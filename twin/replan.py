@@ -19,15 +19,15 @@ counts, so the same situation gives the same plan.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.order import Route, VisitOrder
-from twin.serving import keep_serving
+from twin.order import Route
+from twin.serving import has_begun, keep_serving
+from twin.situation import NewPlan, Situation, collides, remainder, same_states
 
 if TYPE_CHECKING:
     from planner.plan import Path
@@ -36,72 +36,12 @@ if TYPE_CHECKING:
 Bools = NDArray[np.bool_]
 Ints = NDArray[np.int32]
 
+__all__ = ["NewPlan", "Situation", "plan_anew"]
+
 ROUNDS = 6
 """Times the search is asked again with robots that found no way left standing."""
 RESTARTS = 5
 """Further orders cooperative A* tries in each."""
-
-
-@dataclass(frozen=True)
-class Situation:
-    """Where a run is at the beginning of a slot.
-
-    Attributes:
-        problem: of the run.
-        order: in force.
-        at: (N,) states.
-        serving: (N,) AP that serves, −1 for none.
-        connected: (N,) bool.
-        failed: (N,) bool.
-        released: (N,) crossings of its path each robot may begin.
-        closed_vertex, closed_edge: (V,) and (E,) bool, what blockages block.
-        out: (A,) bool, APs that do not work.
-    """
-
-    problem: Problem
-    order: VisitOrder
-    at: Ints
-    serving: Ints
-    connected: Bools
-    failed: Bools
-    released: Ints
-    closed_vertex: Bools
-    closed_edge: Bools
-    out: Bools
-
-
-@dataclass(frozen=True)
-class NewPlan:
-    """A plan from a slot on.
-
-    Attributes:
-        routes: of all robots, None for those not on the floor.
-        changed: robots whose way or APs are new.
-        without_path: robots that are not led to their goals.
-        cost_before, cost_after: of the rest of the paths, over the robots led to their goals by
-            both plans (§1.9).
-    """
-
-    routes: tuple[Route | None, ...]
-    changed: tuple[int, ...]
-    without_path: tuple[int, ...]
-    cost_before: int
-    cost_after: int
-
-
-def remainder(s: Situation, i: int, until: int | None = None) -> Route:
-    """What is left of robot i's path from where it is, up to state `until` (its last if None)."""
-    order = s.order
-    first, last = int(order.first_row[i]), int(order.arrival[i])
-    at, end = int(s.at[i]), last if until is None else until
-    rows = slice(first + at, first + end + 1)
-    return Route(
-        order.vertex[rows],
-        order.ap[rows],
-        order.edge[rows][:-1],
-        int(order.piece[first + at]),
-        bool(order.to_goal[i]) and end == last,
-    )
 
 
 def plan_anew(s: Situation, *, seed: int, iterations: int) -> NewPlan | None:
@@ -323,6 +263,10 @@ class _Replanning:
         handover = run.edge_handover[edge]
         handover = handover if run.edge_uv[edge, 0] == vertex else handover.T
         share = int(order.piece[row]) / int(run.edge_slots[edge])
+        leads = (handover & serves[0][:, None]), run.edge_cover[edge] & serves[0]
+        now = int(self.s.serving[i])
+        if now >= 0 and handover[order.ap[row], now]:  # the handover of this crossing is made
+            leads = np.outer(serves[0], np.arange(run.n_aps) == now), np.zeros_like(serves[0])
         own = {
             "xy_m": ((1.0 - share) * run.xy_m[vertex] + share * run.xy_m[to])[None],
             "cover": serves,
@@ -330,8 +274,8 @@ class _Replanning:
             "edge_uv": np.array([[len(columns["xy_m"]), to]], np.int32),
             "edge_slots": np.array([self._left(i)], np.int32),
             "edge_oneway": np.array([True]),
-            "edge_cover": run.edge_cover[edge][None] & serves,
-            "edge_handover": (handover & serves[0][:, None])[None],
+            "edge_cover": leads[1][None],
+            "edge_handover": leads[0][None],
         }
         for name, value in own.items():
             columns[name] = np.concatenate([columns[name], value])
@@ -366,14 +310,21 @@ class _Replanning:
                 False,
             )
         own = {i: self._route(i, path) for i, path in paths.items()}
-        own = keep_serving(s.problem, own, s.serving, self._capacity(list(own), *self._where(own)))
-        for i, route in own.items():
+        places = self._capacity(list(own), *self._where(own))
+        own = keep_serving(s.problem, own, s.serving, places, s.out)
+        for i, route in (own | self._bound(own)).items():
             routes[i] = route
-        for i, route in self._bound(own).items():
-            routes[i] = route
-        if collides(s.problem, routes):
+        if collides(s.problem, routes) or (s.as_planned and self._changes_silently(routes)):
             raise _NoPlanError
         return self._told(tuple(routes))
+
+    def _changes_silently(self, routes: list[Route | None]) -> bool:
+        """Whether a robot would be served by another AP without a handover."""
+        pairs = zip(routes, self.s.serving.tolist(), strict=True)
+        return any(
+            route is not None and route.aps[0] != ap and not has_begun(route, ap)
+            for route, ap in pairs
+        )
 
     def _ap_of_fixed(self, i: int) -> int:
         """AP a robot that stays shall have: its own, its path's, or any, so that it covers it."""
@@ -444,7 +395,7 @@ class _Replanning:
             if route is None or self.done[i]:
                 continue
             old = remainder(s, i)
-            if not _same(old, route):
+            if not same_states(old, route):
                 changed.append(i)
             if old.to_goal and route.to_goal:
                 for cost, r in ((0, old), (1, route)):
@@ -453,39 +404,3 @@ class _Replanning:
                     before, after = (before, after + value) if cost else (before + value, after)
         without = [i for i, r in enumerate(routes) if r is not None and not r.to_goal]
         return NewPlan(routes, tuple(changed), tuple(without), before, after)
-
-
-def _same(a: Route, b: Route) -> bool:
-    """The same states, whatever the time spent in each."""
-    return a.to_goal == b.to_goal and np.array_equal(_states(a), _states(b))
-
-
-def _states(route: Route) -> NDArray[np.int64]:
-    pairs = np.column_stack([route.vertices, route.aps]).astype(np.int64)
-    kept: Bools = np.append(True, (pairs[1:] != pairs[:-1]).any(axis=1))
-    return np.asarray(pairs[kept])
-
-
-def collides(problem: Problem, routes: Iterable[Route | None]) -> bool:
-    """Whether two routes use a vertex or an edge in the same slot (§1.2, §1.3).
-
-    Robots that do not reach their goals stand at their ends for good, so do those that park.
-    """
-    at_vertex: dict[tuple[int, int], int] = {}
-    on_edge: dict[tuple[int, int], int] = {}
-    on_floor = [(i, r) for i, r in enumerate(routes) if r is not None]
-    longest = max((len(r.edges) for _, r in on_floor), default=0)
-    for i, route in on_floor:
-        stays = not route.to_goal or problem.at_goal == "park"
-        left, k = route.piece, 0
-        for t in range(longest + 1 if stays else len(route.vertices)):
-            state = min(t, len(route.edges))
-            edge = int(route.edges[t]) if t < len(route.edges) else -1
-            if left == 0 and at_vertex.setdefault((t, int(route.vertices[state])), i) != i:
-                return True
-            if edge >= 0:
-                if on_edge.setdefault((t, edge), i) != i:
-                    return True
-                k = int(problem.edge_slots[edge])
-                left = (left + 1) % k
-    return False

@@ -24,17 +24,24 @@ Ints = NDArray[np.int32]
 
 
 def keep_serving(
-    problem: Problem, routes: dict[int, Route], serving: Ints, capacity: Ints
+    problem: Problem,
+    routes: dict[int, Route],
+    serving: Ints,
+    capacity: Ints,
+    out: NDArray[np.bool_],
 ) -> dict[int, Route]:
     """The routes with the fewest handovers, beginning with the AP that serves.
 
-    A route for which there are no such APs within the rules (§1.6, §1.7) is left as it is.
+    If the loads leave no such APs they are not looked at: late robots may overload an AP, too. A
+    route for which the rules of coverage (§1.6, §1.7) leave none is kept as it is. So is the rest
+    of a crossing at whose end the route has the AP that serves already.
 
     Args:
         problem: whose graph the routes are in.
         routes: by robot; their ways are kept.
         serving: (N,) AP that serves each robot now.
         capacity: (A,) places for these robots.
+        out: (A,) APs that serve nobody.
     """
     longest = max((len(r.vertices) for r in routes.values()), default=0)
     load = np.zeros((longest, problem.n_aps), np.int64)
@@ -44,12 +51,26 @@ def keep_serving(
     for i, route in routes.items():
         own = np.arange(len(route.aps))
         np.add.at(load, (own, route.aps), -1)
-        aps = _fewest_handovers(problem, route, int(serving[i]), load < capacity)
+        for room in (load < capacity, np.broadcast_to(~out, load.shape)):
+            aps = _fewest_handovers(problem, route, int(serving[i]), room)
+            if aps is not None:
+                break
         if aps is not None:
             route = replace(route, aps=aps)  # noqa: PLW2901
         np.add.at(load, (own, route.aps), 1)
         found[i] = route
     return found
+
+
+def has_begun(route: Route, serving: int) -> bool:
+    """Whether a route begins amid a crossing whose handover has been made: `serving` serves."""
+    if not route.piece or serving in {-1, route.aps[0]}:
+        return False
+    amid = np.flatnonzero(
+        (route.edges != route.edges[0]) | (route.vertices[:-1] != route.vertices[0])
+    )
+    end = int(amid[0]) if len(amid) else len(route.edges)
+    return bool(route.aps[end] == serving)
 
 
 def _fewest_handovers(
@@ -63,7 +84,8 @@ def _fewest_handovers(
         k = int(problem.edge_slots[edge]) if edge >= 0 else 1
         stops.append(t + k - (route.piece if t == 0 else 0))
     eye = np.eye(problem.n_aps, dtype=np.bool_)
-    cost = np.where(np.arange(problem.n_aps) == first, 0.0, np.inf)
+    begun = has_begun(route, first)
+    cost = np.where(np.arange(problem.n_aps) == (route.aps[0] if begun else first), 0.0, np.inf)
     back: list[NDArray[np.intp]] = []
     for begin, end in pairwise(stops):
         edge, v = int(route.edges[begin]), int(route.vertices[begin])
@@ -74,6 +96,8 @@ def _fewest_handovers(
             pairs = problem.edge_handover[edge]
             pairs = pairs if problem.edge_uv[edge, 0] == v else pairs.T
             allowed = pairs | np.diag(problem.edge_cover[edge])
+            if begin == 0 and begun:
+                allowed = np.outer(eye[route.aps[0]], eye[first])
         # In its first slot a robot is served as it is; there may be no room for it by the count.
         fits = room[max(begin, 1) : end].all(axis=0)
         until = room[end] & problem.cover[route.vertices[end]]

@@ -24,13 +24,13 @@ from logs.records import (
     Sample,
     Separation,
 )
-from twin.motion import Nearness
+from twin.clearance import Nearness
 
 if TYPE_CHECKING:
     from planner.problem import Problem
     from twin.association import Instants
+    from twin.link_changes import Change, Outage, SlotRadio
     from twin.motion import SlotMotion
-    from twin.network import Change, Outage, SlotRadio
     from twin.order import Commit, VisitOrder
 
 Floats = NDArray[np.float64]
@@ -101,10 +101,16 @@ class Slot:
         waits_for = [names[j] if j >= 0 else "" for j in self.commit.waits_for[motion.robot]]
         return list(zip(*(column.tolist() for column in columns), waits_for, strict=True))
 
-    @property
+    @cached_property
     def arrived(self) -> NDArray[np.bool_]:
         """(N,) bool, robots at their goals for good."""
         return np.asarray((self.at == self.order.arrival) & self.order.to_goal)
+
+    @cached_property
+    def at_goal(self) -> list[bool]:
+        """Whether each robot is, by index."""
+        found: list[bool] = self.arrived.tolist()
+        return found
 
     @cached_property
     def _first(self) -> list[tuple[int, int, float, float]]:
@@ -118,18 +124,28 @@ class Slot:
         """(n, steps, 2) where the bodies are at each instant but the last."""
         return self.motion.xy_m(self.instants.fractions)
 
+    @cached_property
+    def _robots(self) -> tuple[int, ...]:
+        """Index of each body's robot."""
+        return tuple(self.motion.robot.tolist())
+
+    @cached_property
+    def _headings(self) -> tuple[float, ...]:
+        """Heading of each body [rad]."""
+        return tuple(self.motion.heading_rad.tolist())
+
     # --- records of all bodies --------------------------------------------------------------
 
     def sample(self, step: int) -> Sample:
         """All bodies at an instant of the slot."""
-        motion, radio = self.motion, self.radio
+        radio = self.radio
         return Sample(
             t_s=self.instants.t_s(self.number, step),
             slot=self.number,
-            robot=tuple(motion.robot.tolist()),
+            robot=self._robots,
             x_m=tuple(self._xy_m[:, step, 0].tolist()),
             y_m=tuple(self._xy_m[:, step, 1].tolist()),
-            heading_rad=tuple(motion.heading_rad.tolist()),
+            heading_rad=self._headings,
             ap=tuple(radio.ap[:, step].tolist()),
             snr_db=tuple(radio.snr_db[:, step].tolist()),
             map_snr_db=tuple(radio.map_snr_db[:, step].tolist()),

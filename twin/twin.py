@@ -55,8 +55,6 @@ from simpy.events import EventPriority
 
 from logs.kpi import KpiFold, planned_figures
 from logs.records import (
-    BY_FAILURE,
-    CAUSES,
     ApLoad,
     Arrival,
     Blockages,
@@ -66,45 +64,31 @@ from logs.records import (
     RunStart,
 )
 from twin.association import Instants, Prediction, nanoseconds
-from twin.bodies import Bodies
-from twin.control import Control
+from twin.bodies import Bodies, touched_blockages
+from twin.clearance import nearness
+from twin.dispatch import Dispatch
 from twin.disturbances import Disturbances
-from twin.motion import Roads, nearness
-from twin.network import Change, Network
+from twin.link_changes import Change
+from twin.network import Network
 from twin.order import (
-    Commit,
     GroupCommit,
     Policy,
     StrictOrder,
-    catch_up,
-    order_of,
     refuse_rotation,
-    rotation,
     visit_order,
 )
-from twin.replan import NewPlan, Situation, plan_anew
 from twin.reports import (
     BLOCKAGE_COLUMNS,
     NO_BOXES,
     blockages,
-    deadlock,
-    delay,
     happening,
-    new_paths,
-    replan_record,
 )
 from twin.slot import Slot
-from twin.watch import Watch
-from worlds.errands import robot_height_m
-from worlds.events import longest_run_slots
 from worlds.scene import Scene
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from planner.plan import Plan
     from planner.problem import Problem
-    from twin.order import VisitOrder
     from worlds.floor import Floor
     from worlds.radio_map import RadioMap
     from worlds.world import World
@@ -131,13 +115,13 @@ class Phase(IntEnum):
 class Instant(simpy.Event):
     """A point in time that comes; like simpy's Timeout, but with a place among its equals."""
 
-    def __init__(self, env: simpy.Environment, at_ns: int, priority: int) -> None:
+    def __init__(self, env: simpy.Environment, at_ns: int, priority: EventPriority) -> None:
         # As Timeout does: what `Event.__init__` would set, without the call.
         self.env = env
         self.callbacks = []
         self._ok = True
         self._value = None
-        env.schedule(self, EventPriority(priority), at_ns - env.now)
+        env.schedule(self, priority, at_ns - env.now)
 
 
 def run(
@@ -187,35 +171,29 @@ class _Run:
         on_slot: Callable[[int, int], None] | None,
         policy: Policy | None,
     ) -> None:
-        self._world, self._problem, self._body = world, problem, world.hall.body
-        self._boxes = floor.boxes
+        self._world, self._problem, self._boxes = world, problem, floor.boxes
         prediction = Prediction(floor, radio_map, problem)
-        self._order = order = visit_order(problem, plan)
-        self._base = 0  # slot in which the order in force begins
+        order = visit_order(problem, plan)
         self._instants = Instants.of(floor.slot_s, world.run.samples_per_slot)
-        self._roads = Roads(problem, order, floor.boxes, self._body, robot_height_m(world))
-        self._heading = np.zeros(problem.n_robots)
         self._disturbances = Disturbances(world, problem, self._instants)
-        self._bodies = Bodies(world, scene, self._disturbances)
-        self._network = Network(
-            world, prediction, problem, order, self._instants, self._bodies, self._disturbances
-        )
-        self._policy = policy or POLICIES[world.run.policy]()
-        if isinstance(self._policy, StrictOrder):
+        policy = policy or POLICIES[world.run.policy]()
+        if isinstance(policy, StrictOrder):
             refuse_rotation(order, problem.robot_ids)
-        self._control = Control(world, problem, self._disturbances, self._policy)
-        self._watch = Watch(world, problem, self._disturbances)
-        self._longest = longest_run_slots(world)
+        self._dispatch = Dispatch(
+            world, problem, floor.boxes, order, self._instants, self._disturbances, policy,
+            self._emit,
+        )  # fmt: skip
+        self._network = Network(
+            world, prediction, problem, order, self._instants,
+            Bodies(world, scene, self._disturbances), self._disturbances, self._dispatch.roads,
+        )  # fmt: skip
         self._emit_on, self._on_slot = emit, on_slot
 
         self._env = simpy.Environment()
         self._places = max(problem.n_robots, problem.n_aps, 1)  # in a phase
-        self._at = np.zeros(problem.n_robots, np.int32)  # state each robot is at
         self._last_visit = order.arrival.copy()
         self._arrived = [False] * problem.n_robots
         self._incidents: Counter[str] = Counter()
-        self._rescued = False  # a new plan was asked for in the deadlock there is
-        self._ended = ""  # why the run ends before everybody has arrived
         self._told: Blockages | None = None  # blockages as told last
         self._over = False  # the last slot has been played
         self._slot: Slot
@@ -230,7 +208,7 @@ class _Run:
             samples_per_slot=world.run.samples_per_slot,
             interruption_s=world.run.interruption_s,
             threshold_db=radio_map.threshold_db,
-            policy=self._policy.name,
+            policy=policy.name,
             at_goal=problem.at_goal,
             seed=world.run.seed,
             robots=problem.robot_ids,
@@ -243,7 +221,7 @@ class _Run:
         """Run from RunStart to RunEnd."""
         self._emit_on(self._start)
         clock = self._env.process(self._clock())
-        for i in np.flatnonzero(self._order.arrival >= 0).tolist():
+        for i in np.flatnonzero(self._dispatch.order.arrival >= 0).tolist():
             self._env.process(self._robot(i))
         for a in range(self._problem.n_aps):
             self._env.process(self._ap(a))
@@ -253,10 +231,11 @@ class _Run:
 
     def _until(self, t_s: float, phase: Phase, number: int = 0) -> Instant:
         """The event of a phase at a time, for the robot or AP of that number."""
-        return Instant(self._env, nanoseconds(t_s), phase * self._places + number)
+        return Instant(self._env, nanoseconds(t_s), self._priority(phase, number))
 
-    def _until_next_slot(self, phase: Phase, number: int) -> Instant:
-        return Instant(self._env, self._next_ns, phase * self._places + number)
+    def _priority(self, phase: Phase, number: int) -> EventPriority:
+        """Its place among the events of one instant."""
+        return EventPriority(phase * self._places + number)
 
     def _clock(self) -> Process:
         """Slot after slot: decide, check, sample, close; then the end."""
@@ -265,7 +244,7 @@ class _Run:
         while not is_last:
             yield self._until(t_s(number), Phase.DECIDE)
             slot = self._begin(number)
-            is_last = bool(self._ended) or self._all_home(slot)
+            is_last = bool(self._dispatch.ended) or self._all_home(slot)
             yield self._until(t_s(number), Phase.CHECKS)
             self._report(slot.collisions())
             for step in range(self._instants.steps):
@@ -281,7 +260,8 @@ class _Run:
             if not is_last:
                 self._emit(self._kpi.current(slot.end_s, slot.number))
             if self._on_slot:
-                expected = self._base + int(self._order.arrival.max(initial=0)) + 1
+                plan = self._dispatch
+                expected = plan.base + int(plan.order.arrival.max(initial=0)) + 1
                 self._on_slot(number, max(expected, number))
         self._over = True
         yield self._until(t_s(number), Phase.DECIDE)
@@ -297,6 +277,7 @@ class _Run:
     def _robot(self, i: int) -> Process:
         """One robot: its state in every slot, and what happens to its link in between."""
         yield self._until(0.0, Phase.STATES, i)
+        priority = self._priority(Phase.STATES, i)
         while True:
             slot = self._slot
             k = slot.body[i]
@@ -310,7 +291,7 @@ class _Run:
                 changes = changes[1:]
             if self._over:
                 return
-            if not self._arrived[i] and slot.arrived[i]:
+            if not self._arrived[i] and slot.at_goal[i]:
                 self._arrived[i] = True
                 robot, goal = self._problem.robot_ids[i], int(self._problem.goal[i])
                 self._emit(Arrival(slot.begin_s, slot.number, robot, goal))
@@ -318,41 +299,38 @@ class _Run:
             for change in changes:
                 yield self._until(change.t_s, Phase.LINKS, i)
                 self._change(i, change)
-            yield self._until_next_slot(Phase.STATES, i)
+            yield Instant(self._env, self._next_ns, priority)
 
     def _ap(self, a: int) -> Process:
         """One AP: its load in every slot."""
         ap, capacity = self._problem.ap_ids[a], int(self._problem.ap_capacity[a])
         yield self._until(0.0, Phase.LOADS, a)
+        priority = self._priority(Phase.LOADS, a)
         while not self._over:
             slot, load = self._slot, self._load[a]
             self._emit(ApLoad(slot.begin_s, slot.number, ap, load, capacity))
             self._report(slot.overload(ap, load, capacity))
-            yield self._until_next_slot(Phase.LOADS, a)
+            yield Instant(self._env, self._next_ns, priority)
 
     # --- a slot -----------------------------------------------------------------------------
 
     def _begin(self, number: int) -> Slot:
         """Decide who advances and compute the slot; nobody advances once the run is over."""
-        n = self._problem.n_robots
+        dispatch = self._dispatch
         if number:
-            before = self._slot
-            self._heading[before.motion.robot] = before.motion.heading_rad
-            self._at = self._at + before.commit.advance
+            dispatch.note(self._slot.motion, self._slot.commit)
         if self._over:
-            commit = Commit(np.zeros(n, np.bool_), np.full(n, -1, np.int32))
-            cause = np.full(n, -1, np.int32)
+            commit, cause = dispatch.nobody()
         else:
             self._happen(number, 0)
-            self._at = catch_up(self._order, self._at, number - self._base)
-            commit, cause = self._decide(number)
-        order = self._order
+            commit, cause = dispatch.decide(number, self._network)
+        order, at = dispatch.order, dispatch.at
         on_floor = order.arrival >= 0
         self._last_visit = np.where(on_floor, order.arrival, self._last_visit).astype(np.int32)
-        motion = self._roads.motion(self._at, commit.advance)
+        motion = dispatch.roads.motion(at, commit.advance)
         radio = self._network.slot(number, motion, commit.advance, only_begin=self._over)
         slot = Slot(
-            self._problem, order, self._instants, number, self._at, commit, cause,
+            self._problem, order, self._instants, number, at, commit, cause,
             self._last_visit, motion, radio,
         )  # fmt: skip
         self._load = self._network.load(motion, radio).tolist()
@@ -361,120 +339,18 @@ class _Run:
             self._report(slot.unserved())
         return slot
 
-    def _decide(self, slot: int) -> tuple[Commit, NDArray[np.int32]]:
-        """Delays, a new plan if there is a cause, the policy's word, the watchdog's."""
-        control, watch, network = self._control, self._watch, self._network
-        for i, slots, name in control.begin_delays(slot, self._order, self._at):
-            robot = self._problem.robot_ids[i]
-            self._emit(delay(self._instants, slot, robot, slots, name))
-        control.note_failures(slot)
-        control.release(self._order, self._at, network.connected)
-        cause = watch.cause(slot, self._order, self._at, network.connected, control.failed)
-        if cause:
-            self._replan(slot, *cause)
-            control.release(self._order, self._at, network.connected)
-        commit, why, unfinished = control.decide(slot, self._order, self._at)
-        if unfinished.any() and not commit.advance.any() and not self._due(slot, commit):
-            # They would stand like this for ever.
-            failed = control.failed | (why == CAUSES.index(BY_FAILURE))
-            if (unfinished & ~failed).any():
-                self._report([deadlock(self._problem, self._instants, slot, commit, why)])
-                if self._world.run.replan and not self._rescued:
-                    self._rescued = True
-                    self._replan(slot, "deadlock", "")
-                    control.release(self._order, self._at, network.connected)
-                    commit, why, unfinished = control.decide(slot, self._order, self._at)
-                if not commit.advance.any():
-                    self._ended = self._nobody_moves(commit)
-            else:
-                self._ended = "only robots that have failed are left"
-        elif commit.advance.any():
-            self._rescued = False
-        if slot + 1 >= self._longest and not self._ended:
-            self._ended = f"the limit of {self._longest} slots (run.max_slots) is reached"
-        return commit, why
-
-    def _due(self, slot: int, commit: Commit) -> bool:
-        """Whether something is to come that can let robots advance later."""
-        late = self._control.late_until > slot + 1
-        on_way = ~self._order.done(self._at) & ~self._order.gone(self._at)
-        return (
-            commit.due
-            or bool((late & on_way).any())
-            or bool((self._control.late_until == slot + 1).any())
-            or self._disturbances.is_changing(slot)
-            or self._network.pending
-            or self._watch.is_due(slot, self._order, self._at, self._control.failed)
-        )
-
-    def _nobody_moves(self, commit: Commit) -> str:
-        names = self._problem.robot_ids
-        pairs = enumerate(commit.waits_for.tolist())
-        waits = [f"{names[i]} waits for {names[j]}" for i, j in pairs if j >= 0]
-        return "; ".join(["nobody can move", *waits[:5]])
-
-    def _replan(self, slot: int, cause: str, name: str) -> None:
-        """Ask for a new plan, and adopt it if there is one that is worth it."""
-        network, control = self._network, self._control
-        closed = self._disturbances.blocked_for_good(slot)
-        out = ~self._disturbances.ap_up(slot)
-        at, order = self._at, self._order
-        new = plan_anew(
-            Situation(
-                self._problem, order, at, network.serving, network.connected, control.failed,
-                control.released, *closed, out,
-            ),
-            seed=self._world.run.seed,
-            iterations=self._world.run.replan_iterations,
-        )  # fmt: skip
-        refused = ""
-        if new is not None and cause in {"slip", "recovery"} and not _is_better(new, order):
-            new, refused = None, "no better than the one in force"
-        if new is not None:
-            fresh = order_of(self._problem, list(new.routes))
-            if isinstance(self._policy, StrictOrder) and rotation(fresh) is not None:
-                new, refused = None, "it has a rotation, which strict order refuses"
-        if new is not None:
-            self._adopt(slot, fresh)
-        self._watch.asked(slot, self._order, self._at, network.connected, control.failed)
-        number = self._watch.number
-        record = replan_record(self._instants, slot, number, cause, name, new, refused)
-        self._emit(record)
-        if new is not None:
-            for path in new_paths(self._problem, self._instants, slot, number, new):
-                self._emit(path)
-
-    def _adopt(self, slot: int, order: VisitOrder) -> None:
-        """Execute another plan from this slot on."""
-        self._order, self._base = order, slot
-        self._at = np.zeros_like(self._at)
-        self._roads = Roads(
-            self._problem, order, self._boxes, self._body, robot_height_m(self._world),
-            self._heading.copy(),
-        )  # fmt: skip
-        self._network.adopt(order)
-        self._control.adopt(order)
-
     def _close(self, slot: Slot) -> None:
         """What the bodies came near to, or touched, during the slot that ends."""
-        near = nearness(slot.motion, self._body)
+        near = nearness(slot.motion, self._world.hall.body)
         self._report(slot.contacts(near))
-        self._report(slot.obstructed(self._roads.obstacle(slot.motion, slot.at), self._boxes.name))
+        hit = self._dispatch.roads.obstacle(slot.motion, slot.at)
+        self._report(slot.obstructed(hit, self._boxes.name))
         if self._disturbances.blockages:
-            self._report(slot.caught(self._touched(slot)))
+            touched = touched_blockages(
+                self._disturbances, slot.number, self._instants.fractions, slot.motion
+            )
+            self._report(slot.caught(touched))
         self._emit(slot.separation(near))
-
-    def _touched(self, slot: Slot) -> dict[int, str]:
-        """Bodies that touch a blockage at some instant of the slot, and its name."""
-        found: dict[int, str] = {}
-        for step in range(self._instants.steps):
-            boxes = self._disturbances.boxes(slot.number, step)
-            if len(boxes):
-                places = slot.motion.xy_m(np.array([step / self._instants.steps]))[:, 0]
-                hit = self._disturbances.touched(boxes, places, slot.motion.heading_rad)
-                for k in np.flatnonzero(hit >= 0).tolist():
-                    found.setdefault(k, boxes.name[hit[k]])
-        return found
 
     def _happen(self, slot: int, step: int) -> None:
         """Tell what begins or is over at an instant."""
@@ -524,8 +400,8 @@ class _Run:
         if missing:
             some = ", ".join(missing[:5]) + (", …" if len(missing) > 5 else "")
             reasons.append(f"{len(missing)} of {len(names)} robots have not arrived: {some}")
-        if self._ended:
-            reasons.append(self._ended)
+        if self._dispatch.ended:
+            reasons.append(self._dispatch.ended)
         counts = [(kind, self._incidents[kind]) for kind in _FAILURES]
         reasons += [f"{count} x {kind}" for kind, count in counts if count]
         return ("failed" if reasons else "completed"), "; ".join(reasons)
@@ -533,18 +409,11 @@ class _Run:
     # --- records ----------------------------------------------------------------------------
 
     def _emit(self, record: Record) -> None:
+        if isinstance(record, Incident):
+            self._incidents[record.kind] += 1
         self._kpi.add(record)
         self._emit_on(record)
 
     def _report(self, incidents: Iterable[Incident]) -> None:
         for incident in incidents:
-            self._incidents[incident.kind] += 1
             self._emit(incident)
-
-
-def _is_better(new: NewPlan, order: VisitOrder) -> bool:
-    """Whether a new plan leads more robots to their goals, or as many for less."""
-    stranded = int((~order.to_goal).sum())
-    if len(new.without_path) != stranded:
-        return len(new.without_path) < stranded
-    return new.cost_after < new.cost_before

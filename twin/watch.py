@@ -82,7 +82,8 @@ class Watch:
                 return "recovery", ""
             if slot - self._last >= _RETRY * max(1, self._options.replan_cooldown):
                 return "recovery", ""
-        if end - self._end >= self._options.replan_slip:
+        on_way = order.to_goal & ~order.done(at) & ~order.gone(at) & ~failed
+        if on_way.any() and end - self._end >= self._options.replan_slip:
             return "slip", ""
         return None
 

@@ -191,13 +191,15 @@ def snr_db(
     return np.asarray(received_dbm - noise_dbm + np.asarray(fading_db))
 
 
-def data_rate_mbps(snr_db: ArrayLike, radio: Radio) -> Array:
+def data_rate_mbps(snr_db: ArrayLike, radio: Radio, served: ArrayLike = 1) -> Array:
     """Data rate of each link [Mbit/s]: Shannon's bound times what is reached of it, capped.
 
     min(bandwidth · log2(1 + SNR) · efficiency, cap), with `bandwidth_mhz`, `efficiency` and
-    `rate_cap_mbps` of the world's radio.
+    `rate_cap_mbps` of the world's radio. With `rate_sharing = "equal"` a link has this rate for one
+    n-th of the time, n = `served` being the number of robots its AP serves (≥ 1).
     """
     # log2(1 + 10^(x/10)) without overflow at absurd x.
     bits_per_hz = np.logaddexp2(0.0, np.asarray(snr_db, dtype=np.float64) * (np.log2(10.0) / 10.0))
     rate = radio.bandwidth_mhz * bits_per_hz * radio.efficiency
-    return np.asarray(np.minimum(rate, radio.rate_cap_mbps))
+    alone = np.minimum(rate, radio.rate_cap_mbps)
+    return np.asarray(alone / served if radio.rate_sharing == "equal" else alone)

@@ -31,6 +31,10 @@ SUFFIXES = (".png", ".svg")
 _GROUND, _OBSTACLE, _INK = "#ececec", "#5a5a5a", "#111111"
 
 
+_NARROW = 0.4
+"""Halls narrower than this share of their depth have no room for names beside the APs."""
+
+
 def draw_hall(
     ax: Axes, world: World, floor: Floor, *, highlight: str | None = None, names: bool = False
 ) -> None:
@@ -69,9 +73,14 @@ def draw_hall(
             zorder=6,
         )
         if highlight is None or chosen:
+            label = ap.id if ap.enabled else f"{ap.id} (off)"
+            if width < _NARROW * span and 0.2 * width < x < 0.8 * width:
+                up = 0.025 * span if y < 0.5 * depth else -0.025 * span
+                side = "bottom" if y < 0.5 * depth else "top"
+                _write(ax, x, y + up, label, size=9, ha="center", va=side)
+                continue
             right = x > 0.8 * width  # keep the label within the walls
             shift = -0.025 * span if right else 0.025 * span
-            label = ap.id if ap.enabled else f"{ap.id} (off)"
             _write(ax, x + shift, y, label, size=9, ha="right" if right else "left", va="center")
     ax.set_xlim(-0.02 * span, width + 0.02 * span)
     ax.set_ylim(-0.02 * span, depth + 0.02 * span)

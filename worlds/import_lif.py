@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from worlds.ap_proposal import Proposal, propose_aps
-from worlds.errands import components, with_covered_robots
+from worlds.errands import components
 from worlds.errors import Fault, WorldError
 from worlds.floor import Floor
 from worlds.formats.lif import Lif, read_lif
@@ -28,14 +28,11 @@ from worlds.map_import import (
     ImportedWorld,
     ImportParams,
     commented,
-    default_horizon,
-    longest_errand_slots,
+    with_aps_and_horizon,
 )
-from worlds.radio_map import build_radio_map, kept_edges, kept_vertices
 from worlds.toml_file import dump_world, parse_world
 from worlds.world import (
     AccessPoint,
-    PlanOptions,
     Radio,
     RandomRobots,
     Robots,
@@ -112,16 +109,8 @@ def import_lif(
         target=params.coverage,
         wanted=main,
     )
-    world = bare.model_copy(update={"ap": proposal.aps})
-    radio_map = build_radio_map(world, first, exact=False)
-    floor = with_covered_robots(world, first, radio_map)
-    longest = longest_errand_slots(floor, kept_vertices(radio_map), kept_edges(floor, radio_map))
-    horizon = params.horizon or default_horizon(longest)
-    world = world.model_copy(update={"plan": PlanOptions(horizon=horizon)})
-    if longest > horizon:
-        hints.append(
-            f"the longest errand takes {longest} slots, the horizon is {horizon}: no plan exists"
-        )
+    world, floor, longest, told = with_aps_and_horizon(bare, first, proposal, params.horizon)
+    hints += told
     hints += _rounding(world) + _touching(world, first)
     # Checked by the absolute path, since the folder of the target may not exist yet.
     absolute = _text(world, lif, source.absolute(), proposal, longest)

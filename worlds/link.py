@@ -148,8 +148,11 @@ class LinkModel:
         at = self.position_m[_serving(ap, antenna_m)]
         mine = np.broadcast_to(np.asarray(own, dtype=np.int64), len(at))
         blocker = scene.cast(at, antenna_m)
-        # Its own body is the last box on the way to the antenna: what is met first is all there is.
-        blocker = np.where((blocker == mine) & (mine >= 0), np.int32(-1), blocker)
+        # Its own body is the last box on the way to the antenna, unless another body reaches into
+        # it (the next robot at a goal that this one is leaving): then they are met together.
+        met = np.flatnonzero((blocker == mine) & (mine >= 0))
+        if len(met):
+            blocker[met] = scene.cast_past(at[met], antenna_m[met], mine[met])
         return Sight(blocker, self._blockage_db(scene, at, antenna_m, mine))
 
     def measure(

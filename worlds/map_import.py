@@ -207,16 +207,8 @@ def import_grid(grid: BlockedGrid, params: ImportParams) -> ImportedWorld:
             f"the proposed access points cover {proposal.covered_share:.1%} of the floor, not the "
             f"{params.coverage:.1%} asked for: no further mount reaches more"
         )
-    world = bare.model_copy(update={"ap": proposal.aps})
-    radio_map = build_radio_map(world, first, exact=False)
-    floor = with_covered_robots(world, first, radio_map)
-    longest = longest_errand_slots(floor, kept_vertices(radio_map), kept_edges(floor, radio_map))
-    horizon = params.horizon or default_horizon(longest)
-    world = world.model_copy(update={"plan": PlanOptions(horizon=horizon)})
-    if longest > horizon:
-        hints.append(
-            f"the longest errand takes {longest} slots, the horizon is {horizon}: no plan exists"
-        )
+    world, floor, longest, told = with_aps_and_horizon(bare, first, proposal, params.horizon)
+    hints += told
     text = _text(world, grid, params, proposal, longest)
     parsed = parse_world(text)
     if parsed != world:
@@ -273,6 +265,34 @@ def _tidy(metres: float) -> float:
 
 def _all(array: NDArray[np.generic]) -> NDArray[np.bool_]:
     return np.ones(len(array), dtype=np.bool_)
+
+
+def with_aps_and_horizon(
+    bare: World, first: Floor, proposal: Proposal, horizon: int | None
+) -> tuple[World, Floor, int, list[str]]:
+    """A world with the access points proposed for it, and with time for its longest errand.
+
+    Args:
+        bare: the world without them.
+        first: its floor.
+        proposal: of access points.
+        horizon: T, or None for one that suits the errands.
+
+    Returns:
+        The world, its floor with robots where there is coverage, the slots of the longest errand,
+        and hints for the user.
+    """
+    world = bare.model_copy(update={"ap": proposal.aps})
+    radio_map = build_radio_map(world, first, exact=False)
+    floor = with_covered_robots(world, first, radio_map)
+    longest = longest_errand_slots(floor, kept_vertices(radio_map), kept_edges(floor, radio_map))
+    slots = horizon or default_horizon(longest)
+    hints = []
+    if longest > slots:
+        hints.append(
+            f"the longest errand takes {longest} slots, the horizon is {slots}: no plan exists"
+        )
+    return world.model_copy(update={"plan": PlanOptions(horizon=slots)}), floor, longest, hints
 
 
 def longest_errand_slots(

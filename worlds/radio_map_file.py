@@ -86,7 +86,13 @@ def radio_key(world: World) -> str:
             "run": True,
             "hall": {"slot_s", "speed_m_s"},
             "obstacle": {"__all__": {"name"}},
-            "radio": {"ap_capacity", "bandwidth_mhz", "efficiency", "rate_cap_mbps"},
+            "radio": {
+                "ap_capacity",
+                "bandwidth_mhz",
+                "efficiency",
+                "rate_cap_mbps",
+                "rate_sharing",
+            },
             "ap": {"__all__": {"capacity"}},
         },
     )

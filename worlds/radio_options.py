@@ -161,3 +161,8 @@ class Radio(Part):
         default=0.6, gt=0, le=1, description="share of Shannon's rate reached"
     )
     rate_cap_mbps: float = Field(default=2000.0, gt=0, le=1e9, description="no link is faster")
+    rate_sharing: Literal["none", "equal"] = Field(
+        default="none",
+        description="how an AP's airtime is shared: `none`, each robot has all of it (a beam of "
+        "its own); `equal`, each of the n robots it serves at an instant has one n-th",
+    )

@@ -177,14 +177,32 @@ class Scene:
         hit[doubtful] = self._cast_exactly(start[doubtful], end[doubtful])
         return hit
 
-    def _cast_exactly(self, start: Array, end: Array) -> NDArray[np.int32]:
-        """(n,) the first box of each segment by the slab test against all of them."""
-        boxes = np.flatnonzero(self._visible).astype(np.int32)
+    def cast_past(
+        self, start_m: Array, end_m: Array, own: NDArray[np.integer]
+    ) -> NDArray[np.int32]:
+        """The moving body besides its own (n,) that each segment (n, 3) meets first, −1 if none."""
+        bodies = np.flatnonzero(self._visible[self._static :]).astype(np.int32) + self._static
+        return self._cast_exactly(start_m, end_m, bodies, own)
+
+    def _cast_exactly(
+        self,
+        start: Array,
+        end: Array,
+        boxes: NDArray[np.int32] | None = None,
+        own: NDArray[np.integer] | None = None,
+    ) -> NDArray[np.int32]:
+        """(n,) the first box of each segment by the slab test against all, or some, but its own."""
+        if boxes is None:
+            boxes = np.flatnonzero(self._visible).astype(np.int32)
         hit = np.full(len(start), -1, dtype=np.int32)
+        if not len(boxes):
+            return hit
         step = max(1, _PAIRS // len(boxes))
         for first in range(0, len(start), step):
             part = slice(first, first + step)
             enter = self._enter(start[part, None], end[part, None], boxes)
+            if own is not None:
+                enter[boxes == own[part, None]] = np.inf
             nearest = np.argmin(enter, axis=1)
             met = np.isfinite(enter[np.arange(len(enter)), nearest])
             hit[part] = np.where(met, boxes[nearest], -1)

@@ -85,16 +85,25 @@ def log_of(
         make_plan: makes the plan instead of the planner.
         world: the name of a world that ships, or a world's text.
     """
+    return write_log(folder() / f"run{log_of.cache_info().misses}.mcap", world, options, make_plan)
+
+
+def write_log(
+    path: Path,
+    world: str,
+    options: Options = (),
+    make_plan: Callable[[Problem], Plan] | None = None,
+) -> Path:
+    """The same, made anew and written to `path`."""
     source = WORLDS / f"{world}.toml"
     if "\n" in world:
-        source = folder() / "world.toml"
+        source = path.with_suffix(".toml")
         source.write_text(world)
     world_, floor = open_world(source, overrides=dict(options))
     radio_map = build_radio_map(world_, floor)
     floor = with_covered_robots(world_, floor, radio_map)
     problem = problem_from_world(world_, floor, radio_map)
     planned = make_plan(problem) if make_plan else plan(problem)
-    path = folder() / f"run{log_of.cache_info().misses}.mcap"
     inputs = {"floor": floor, "radio_map": radio_map, "problem": problem, "plan": planned}
     with RunLog(path, world=world_, **inputs) as log:
         run(world_, **inputs, emit=log.write)

@@ -9,6 +9,7 @@ from logs.figures import LANES_SHARE, Trace, draw_run, handover_places, lane_m, 
 from logs.mcap_reader import read
 from logs.records import Handover
 from tests.cli_tools import good_run
+from tests.logs.good_logs import log_of
 from worlds.errors import WorldError
 
 __all__ = ["good_run"]  # fixture
@@ -71,7 +72,7 @@ def test_near_handovers_are_one_place():
 def test_picture_tells_aps_handovers_and_coverage_in_words(good_run):
     """Each AP, the handovers and the coverage have their line in the legend; axes are in metres."""
     figure = run_figure(read(good_run[0] / "run.mcap"))
-    words = " | ".join(text.get_text() for text in figure.legends[0].get_texts())
+    words = " | ".join(text.get_text() for text in figure.axes[0].get_legend().get_texts())
     for part in ("served by left", "served by right", "handover", "goal", "covered by 2 APs"):
         assert part in words
     (ax,) = figure.axes
@@ -101,3 +102,39 @@ def test_other_kinds_of_files_are_refused(good_run, tmp_path):
     """A picture is .png or .svg."""
     with pytest.raises(WorldError, match="png"):
         draw_run(read(good_run[0] / "run.mcap"), tmp_path / "hall.bmp")
+
+
+CORRIDOR = """
+name = "the corridor between the halls of the old works"
+[hall]
+size_m = [WIDTH, DEPTH]
+pitch_m = 2.0
+[[ap]]
+id = "entrance"
+position_m = [2.0, 2.0, 3.0]
+[radio]
+tx_power_dbm = 10.0
+[robots.random]
+count = 3
+[plan]
+horizon = 60
+"""
+
+
+@pytest.mark.parametrize(("width", "depth"), [("4.0", "40.0"), ("40.0", "4.0"), ("12.0", "12.0")])
+def test_nothing_is_cut_and_no_words_run_into_others(width, depth):
+    """Title, labels and legend lie within the picture, the legend beside the hall, not on it."""
+    world = CORRIDOR.replace("WIDTH", width).replace("DEPTH", depth)
+    figure = run_figure(read(log_of(world=world)))
+    figure.canvas.draw()
+    (ax,) = figure.axes
+    title = next(text for text in [*ax.texts, ax._left_title] if "corridor" in text.get_text())
+    words = [title, ax.xaxis.label, ax.yaxis.label, ax.get_legend()]
+    extents = [piece.get_window_extent() for piece in words]
+    for extent in extents:
+        assert extent.x0 >= 0
+        assert extent.y0 >= 0
+        assert extent.x1 <= figure.bbox.x1
+        assert extent.y1 <= figure.bbox.y1
+    legend, hall = extents[-1], ax.get_window_extent()
+    assert not any(legend.overlaps(other) for other in [*extents[:-1], hall])

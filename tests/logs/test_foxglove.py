@@ -13,20 +13,23 @@ from foxglove_schemas_protobuf.Grid_pb2 import Grid
 from foxglove_schemas_protobuf.LinePrimitive_pb2 import LinePrimitive
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from logs.colors import HANDOVER_COLOR, OUTAGE_COLOR, ap_color, rgb
 from logs.foxglove import (
     COVERAGE_HEIGHT_M,
     NO_POSITION_DB,
+    Fleet,
     coverage_grid,
     log_line,
     plan_scene,
     robot_body,
-    robots_scene,
-    stamp,
     static_scene,
 )
+from logs.foxglove_pack import Places, Transforms
 from logs.foxglove_parts import timestamp
+from logs.foxglove_stamp import Stamped
 from logs.foxglove_view import TOPICS, View
 from logs.mcap_format import EPOCH_NS, time_ns
 from logs.records import (
@@ -126,6 +129,37 @@ def test_packed_messages_are_those_protobuf_would_write(run):
         assert message.ByteSize() <= len(data) <= message.ByteSize() + 40  # explicit zeros only
 
 
+def by_protobuf(robots, x_m, y_m, headings, log_time) -> FrameTransforms:
+    """What /tf is to say, made of objects."""
+    told = FrameTransforms()
+    for name, x, y, heading in zip(
+        ("hall", *robots), (0.0, *x_m), (0.0, *y_m), (0.0, *headings), strict=True
+    ):
+        each = told.transforms.add(parent_frame_id="world", child_frame_id=name)
+        each.timestamp.CopyFrom(timestamp(log_time))
+        each.translation.x, each.translation.y = (round(c * 1024) / 1024 for c in (x, y))
+        each.rotation.z, each.rotation.w = math.sin(heading / 2) + 0.0, math.cos(heading / 2)
+    return told
+
+
+names = st.lists(st.text("aé-9", min_size=1, max_size=70), min_size=1, max_size=6, unique=True)
+
+
+@settings(max_examples=40, deadline=None)
+@given(names, st.data())
+def test_transforms_are_those_protobuf_would_make(robots, data):
+    """Whoever comes and goes, however long the names, whether there are nanoseconds or not."""
+    transforms = Transforms(tuple(robots))
+    place = st.floats(-1000.0, 1000.0)
+    for _ in range(4):
+        there = sorted(data.draw(st.sets(st.integers(0, len(robots) - 1))))
+        x, y, turn = (data.draw(st.tuples(*[place for _ in there])) for _ in range(3))
+        now = EPOCH_NS + data.draw(st.sampled_from([0, 10**9, 127, 128, 999_999_999]))
+        packed = transforms.pack(Places.of(tuple(there), x, y), turn, now)
+        expected = by_protobuf([robots[i] for i in there], x, y, turn, now)
+        assert FrameTransforms.FromString(packed) == expected
+
+
 def link_lines(run, **changed) -> list[tuple]:
     """(from, to, colour) of each segment of the links."""
     scene = SceneUpdate.FromString(view_of(run, sample(**changed))["/scene/links"])
@@ -195,9 +229,8 @@ def test_nobody_on_the_floor_shows_nobody(run):
 
 def test_bodies_move_with_their_frames(run):
     """Each in its own frame, locked to it, of the body's size, standing on the floor."""
-    bodies = [robot_body(run.world, name) for name in ROBOTS]
-    scene = robots_scene(run.world, bodies, (0, 2))
-    found = entities(scene)
+    scene = Fleet(run.world, ROBOTS).scene((0, 2))
+    found = entities(SceneUpdate.FromString(scene.at(EPOCH_NS)))
     assert set(found) == {"fleet", "robot/r0", "robot/lift 2"}
     assert found["fleet"].texts[0].text == "2 of 3 robots on the floor"
     body = run.world.hall.body
@@ -298,7 +331,7 @@ def test_paths_are_coloured_by_the_serving_ap(run):
 
 def test_coverage_is_the_best_snr_row_by_row(run):
     """One float32 per position of the grid, rows along y, the blocked one far below all colours."""
-    grid = Grid.FromString(stamp(coverage_grid(run.floor, run.radio_map), EPOCH_NS))
+    grid = Grid.FromString(Stamped.of(coverage_grid(run.floor, run.radio_map)).at(EPOCH_NS))
     assert (grid.column_count, grid.cell_stride, grid.row_stride) == (COLUMNS, 4, 4 * COLUMNS)
     assert [(f.name, f.offset, f.type) for f in grid.fields] == [("snr_db", 0, 7)]
     cells = np.frombuffer(grid.data, "<f4").reshape(ROWS, COLUMNS)
@@ -322,13 +355,33 @@ def test_the_grid_is_laid_from_the_first_position_even_if_it_is_blocked(run):
 
 def test_every_timestamp_is_that_of_the_message(run):
     """Entities and deletions alike, whenever the scene is written again."""
-    bodies = [robot_body(run.world, name) for name in ROBOTS]
-    scene = robots_scene(run.world, bodies, (1,))
+    scene = Fleet(run.world, ROBOTS).scene((1,))
     for t_s in (0.0, 60.5):
-        again = SceneUpdate.FromString(stamp(scene, time_ns(t_s)))
+        again = SceneUpdate.FromString(scene.at(time_ns(t_s)))
         stamps = {p.timestamp.ToNanoseconds() for p in (*again.entities, *again.deletions)}
         assert stamps == {time_ns(t_s)}
         assert len(again.deletions) == 2
+
+
+def test_a_stamped_message_is_what_protobuf_would_write(run):
+    """Byte for byte: scenes, grids, and the bodies of all robots, which are packed from a model."""
+    scene = SceneUpdate(entities=[robot_body(run.world, name) for name in ROBOTS])
+    scene.deletions.add(id="robot/x")
+    grid = coverage_grid(run.floor, run.radio_map)
+    for log_time in (EPOCH_NS, time_ns(0.7), time_ns(61.000001)):
+        for message in (scene, grid):
+            stamped = Stamped.of(message).at(log_time)
+            again = type(message).FromString(stamped)
+            parts = [*again.entities, *again.deletions] if message is scene else [again]
+            assert {part.timestamp.ToNanoseconds() for part in parts} == {log_time}
+            assert again.SerializeToString(deterministic=True) == stamped
+        told = SceneUpdate.FromString(Fleet(run.world, ROBOTS).scene(range(3)).at(log_time))
+        assert told.SerializeToString(deterministic=True) == (
+            Fleet(run.world, ROBOTS).scene(range(3)).at(log_time)
+        )
+        for body in told.entities:
+            body.ClearField("timestamp")
+        assert list(told.entities[1:]) == list(scene.entities)
 
 
 def test_ap_colours_differ_and_none_is_the_outage_red():

@@ -270,6 +270,16 @@ def test_a_rotation_is_refused_by_name():
     assert execute(hall, plan)[-1].verdict == "completed"
 
 
+@pytest.mark.parametrize("policy", ["group", "strict"])
+def test_a_plan_without_any_path_is_over_at_once(policy):
+    """Nobody is on the floor: the run has one slot, and says that nobody has arrived."""
+    hall, plan = rotating()
+    nobody = make_plan(hall.problem, *(None for _ in plan.paths))
+    records = execute(disturbed(hall, policy=policy), nobody)
+    assert (records[-1].slot, records[-1].verdict) == (0, "failed")
+    assert len([i for i in of_type(records, Incident) if i.kind == "unserved"]) == 4
+
+
 def test_strict_order_moves_into_empty_places_only():
     """A follower waits until the place ahead has been left: one slot later than group commit."""
     hall = make_hall(errands=(((1, 0), (7, 0)), ((0, 0), (6, 0))))
@@ -364,6 +374,28 @@ def test_the_watchdog_names_the_reason_and_ends_the_run():
     assert "r0: connection" in dead[0].message
     assert [r.cause for r in of_type(records, Replan)][-1] == "deadlock"
     assert records[-1].verdict == "failed"
+
+
+def test_delays_of_robots_without_a_way_keep_no_run_going():
+    """Behind a robot that has failed nobody gets on, late or not: the run is over, not drawn out.
+
+    Nor is a new plan asked for again and again because of a slip of nobody's arrival.
+    """
+    hall = make_hall(size=(16.0, 2.0), errands=(((0, 0), (6, 0)), ((1, 0), (7, 0))))
+    plan = make_plan(
+        hall.problem,
+        hall.walk("r0", *[(c, 0) for c in range(7)]),
+        hall.walk("r1", *[(c, 0) for c in range(1, 8)]),
+    )
+    fails = {"kind": "robot-failure", "robot": "r1", "from_s": 4.0}
+    hall = disturbed(hall, [fails], Delays(p_delay=0.5, max_delay=3), replan_slip=1,
+                     replan_cooldown=1, replan_after_s=0.0)  # fmt: skip
+    records = execute(hall, plan)
+    end = records[-1]
+    assert end.verdict == "failed"
+    assert end.slot < 30
+    assert len(of_type(records, Replan)) < 15
+    assert "deadlock" in {i.kind for i in of_type(records, Incident)}
 
 
 def test_a_run_ends_at_max_slots():

@@ -10,7 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.twin.plans import grid, make_plan, make_problem, random_plan, walk
-from twin.motion import Roads, SlotMotion, clearance_m, nearness
+from twin.clearance import clearance_m, nearness
+from twin.motion import Roads, SlotMotion
 from twin.order import visit_order
 from worlds.floor import Boxes
 from worlds.world import Body

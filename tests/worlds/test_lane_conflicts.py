@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from twin.motion import clearance_m
+from twin.clearance import clearance_m
 from worlds.lane_conflicts import Lanes, near_lanes, near_vertices, touching_followers
 from worlds.world import Body
 
@@ -81,7 +81,7 @@ def test_a_robot_turning_round_meets_nobody() -> None:
 def test_followers_agree_with_the_exact_clearance(
     turn: float, k_in: int, k_out: int, in_m: float, out_m: float
 ) -> None:
-    """By the twin's exact clearance: what is well apart, or deep in, is judged so."""
+    """By the twin's exact clearance, to the tenth of a millimetre."""
     angle = np.radians(turn)
     xy = np.array([[-in_m, 0.0], [0.0, 0.0], [out_m * np.cos(angle), out_m * np.sin(angle)]])
     two = Lanes(xy, np.array([(0, 1), (1, 2)], np.int32), np.ones(2, bool),
@@ -91,5 +91,5 @@ def test_followers_agree_with_the_exact_clearance(
     exact = clearance_m(
         (-come)[None], (come - go)[None], half, np.array([0.0]), half, np.array([angle])
     )[0]
-    if abs(exact) > 0.05:
+    if abs(exact) > 1e-4:
         assert bool(touching_followers(two, BODY)) is bool(exact < 0)

@@ -15,7 +15,10 @@ from tests.oracles import slab
 from tests.worlds.floors import ap, boxes, grid_floor, random_boxes, world
 from worlds import scene as scene_module
 from worlds.floor import Boxes
+from worlds.generate import resolve
+from worlds.link import LinkModel
 from worlds.scene import GROW_M, Scene, ray_growth_m
+from worlds.world import World
 
 Array = NDArray[np.float64]
 
@@ -311,3 +314,34 @@ def test_share_in_sight_is_that_of_tr_38_901(
     for near in (0.2, 0.5, 1.0, 1.5):
         ring = (d >= near * k) & (d < (near + 0.3) * k)
         assert sight[ring].mean() == pytest.approx(np.exp(-d[ring] / k).mean(), abs=0.04)
+
+
+@pytest.mark.parametrize("own_first", [True, False])
+def test_a_body_that_reaches_into_ones_own_shades(own_first):
+    """Who is about to leave its goal and who follows into it overlap; their tops are met together.
+
+    A robot's own body never shades its antenna, the other one does, whichever was there first.
+    """
+    hall = World.model_validate(
+        {
+            "name": "goal",
+            "hall": {"size_m": (14.0, 14.0), "pitch_m": 2.0,
+                     "body": {"height_m": 1.5, "antenna_m": 0.8}},
+            "ap": [{"id": "ap0", "position_m": (6.06, 5.63, 4.0)}],
+            "robots": {"random": {"count": 1}},
+        }
+    )  # fmt: skip
+    floor = resolve(hall)
+    half = (0.35, 0.25, 0.75)
+    bodies = {"own": ((7.0, 5.0, 0.75), -np.pi / 2), "other": ((6.5, 5.0, 0.75), 0.0)}
+    links = LinkModel(hall)
+    antenna = links.antenna_m(np.array([[7.0, 5.0]]))
+    with Scene.of(hall, floor) as scene:
+        order = ["own", "other"] if own_first else ["other", "own"]
+        handle = {name: scene.add_body(bodies[name][0], half, bodies[name][1]) for name in order}
+        shaded, blocker = links.measure(scene, 0, antenna, own=handle["own"])
+        assert blocker.tolist() == [handle["other"]]
+        scene.hide_body(handle["other"])
+        free, blocker = links.measure(scene, 0, antenna, own=handle["own"])
+        assert blocker.tolist() == [-1]
+    assert shaded[0] < free[0] - 3.0
