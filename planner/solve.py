@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from planner import warm_up
 from planner.ap_room import no_room_in_words, prove_no_room
 from planner.bounding import Bounding
 from planner.companion import Companion
@@ -108,7 +109,8 @@ class _Solver:
             state = self.bounding.run()
             self._improve(neighbourhoods, params.iterations - first)
             self._repair(state)
-            if params.method == "exact":
+            asked = params.nodes is not None and self.bounding.fits
+            if params.method == "exact" or asked:
                 self._tree_search(params.nodes)
             elif not incumbent.complete and self.bounding.fits:
                 # Robots that must make way for each other in turn are a matter for the tree.
@@ -262,7 +264,8 @@ class _Solver:
         if self.exhausted:
             return incumbent.plan(
                 range(self.problem.n_robots),
-                "each alone and all with shares of paths they fit, but branching found no plan",
+                "all ways past one another were searched, and none brings every robot to its goal "
+                "in time; allow a longer horizon, more AP capacity or fewer robots",
             )
         unserved = sum(p is None for p in incumbent.paths)
         return incumbent.plan(
@@ -272,7 +275,10 @@ class _Solver:
 
 
 def _solve_decoupled(
-    problem: Problem, params: SolveParams, on_progress: Callable[[Progress], None] | None
+    problem: Problem,
+    params: SolveParams,
+    on_progress: Callable[[Progress], None] | None,
+    stop: Callable[[], bool],
 ) -> Plan:
     """The decoupled baseline with the limits of `params`."""
     from planner.decoupled import decoupled
@@ -289,6 +295,7 @@ def _solve_decoupled(
         restarts=params.restarts,
         iterations=params.iterations,
         time_limit=params.time_limit,
+        stop=stop,
         on_phase=on_phase,
     )
 
@@ -310,10 +317,14 @@ def solve(
     Returns:
         A plan of status optimal, feasible, infeasible or unknown (§1.12); never a plan that breaks
         a rule, never a bound that is not proven. Same input and counts, same plan (§1.15).
+
+    A time limit does not include the compilation of the kernels, which happens once per machine.
     """
     params = params or SolveParams()
+    if params.time_limit is not None and not warm_up.kernels_are_compiled():
+        warm_up.compile_kernels()
     if params.method == "decoupled":
-        return _solve_decoupled(problem, params, on_progress)
+        return _solve_decoupled(problem, params, on_progress, stop)
     return _Solver(Incumbent(problem, params, on_progress, stop)).run()
 
 

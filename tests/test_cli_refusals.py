@@ -281,9 +281,9 @@ def test_ctrl_c_leaves_no_partial_files(hall):
 
 SLOW = """
 import sys, time
-import twin.cli_console, twin.pipeline
+import planner.warm_up, twin.cli_console
 twin.cli_console.SECONDS_OF_SILENCE = 0.0
-twin.pipeline.kernels_are_compiled = lambda: False
+planner.warm_up.kernels_are_compiled = lambda: False
 from twin.cli import main
 sys.argv = ["twin", "plan", "hall.toml"]
 main()

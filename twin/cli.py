@@ -357,7 +357,7 @@ def _stopwatch(meter: Meter) -> Stopwatch:
 
 def _announce_compilation(meter: Meter) -> None:
     """The first plan on a machine takes seconds longer; say why."""
-    from twin.pipeline import kernels_are_compiled
+    from planner.warm_up import kernels_are_compiled
 
     if meter.visible and not kernels_are_compiled():
         meter.say("compiling the search kernels, once per machine")

@@ -156,14 +156,6 @@ def make_plan(
         return solve(problem, params, on_progress, stop)
 
 
-def kernels_are_compiled() -> bool:
-    """Whether the planner's kernels were compiled on this machine before."""
-    from planner import kernels
-
-    folder = kernels.astar.stats.cache_path
-    return folder is not None and any(Path(folder).glob("kernels.*.nbi"))
-
-
 def travel(
     instance: Instance,
     folder: Path,

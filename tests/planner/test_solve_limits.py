@@ -206,3 +206,15 @@ def test_defaults() -> None:
     assert stripped(solve(problem)) == stripped(solve(problem, SolveParams()))
     assert SolveParams().method == "auto"
     assert np.isfinite(solve(problem).seconds)
+
+
+def test_nodes_ask_for_a_tree_search() -> None:
+    """§1.13: `nodes` without a time limit buys a better bound by tree search, up to that count."""
+    problem = random_hall(5, size=8, n=14, T=24, m=6)
+    without = solve(problem, SolveParams(iterations=300))
+    found = solve(problem, SolveParams(iterations=300, nodes=3))
+    assert without.lower_bound is not None and without.lower_bound < without.cost
+    assert "nodes" not in without.solver
+    assert 1 <= found.solver["nodes"] <= 3
+    assert found.lower_bound is not None
+    assert without.lower_bound <= found.lower_bound <= found.cost <= without.cost
