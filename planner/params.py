@@ -14,9 +14,9 @@ class SolveParams:
 
     Attributes:
         method: "auto" (cooperative A*, neighbourhood search, path generation for the bound; with a
-            time limit or `nodes` a tree search for the rest of it), "exact" (the same, and the tree search
-            until the plan is proven optimal or `nodes` are processed; with a time limit only where
-            the master of the whole fleet can be solved in it),
+            time limit or `nodes` a tree search for the rest of it), "exact" (the same, and the
+            tree search until the plan is proven optimal or `nodes` are processed; with a time
+            limit only where the master of the whole fleet can be solved in it),
             "pgcp" (the paper's Algorithm 1), "cooperative" (cooperative A* with restarts),
             "decoupled" (shortest motions first, then the best APs for them: a baseline).
         seed: of all random choices.

@@ -213,7 +213,8 @@ def test_nodes_ask_for_a_tree_search() -> None:
     problem = random_hall(5, size=8, n=14, T=24, m=6)
     without = solve(problem, SolveParams(iterations=300))
     found = solve(problem, SolveParams(iterations=300, nodes=3))
-    assert without.lower_bound is not None and without.lower_bound < without.cost
+    assert without.lower_bound is not None
+    assert without.lower_bound < without.cost
     assert "nodes" not in without.solver
     assert 1 <= found.solver["nodes"] <= 3
     assert found.lower_bound is not None
