@@ -127,7 +127,7 @@ def compare(before: Path, after: Path) -> None:
 
 @app.command()
 def plot(results: Path, output: Annotated[Path, typer.Option("--output", "-o")]) -> None:
-    """Median seconds over sizes, a panel per family."""
+    """Medians over sizes, a row of panels per family: seconds, and the gap where there is one."""
     import matplotlib as mpl
 
     mpl.use("Agg")
@@ -136,25 +136,35 @@ def plot(results: Path, output: Annotated[Path, typer.Option("--output", "-o")])
     rows = json.loads(results.read_text())["rows"]
     families = list(dict.fromkeys(row["family"] for row in rows))
     figure, axes = plt.subplots(
-        len(families), 1, figsize=(9, 3.2 * len(families)), squeeze=False, layout="constrained"
+        len(families), 2, figsize=(13, 3.2 * len(families)), squeeze=False, layout="constrained"
     )
-    for axis, family in zip(axes[:, 0], families, strict=True):
+    for (left, right), family in zip(axes, families, strict=True):
         mine = [row for row in rows if row["family"] == family]
-        sizes = list(dict.fromkeys(row["size"] for row in mine))
-        for phase in dict.fromkeys(row["phase"] for row in mine):
-            median = [
-                statistics.median(
-                    [r["seconds"] for r in mine if r["size"] == s and r["phase"] == phase]
-                    or [float("nan")]
-                )
-                for s in sizes
-            ]
-            axis.plot(range(len(sizes)), median, "o-", label=phase)
-        axis.set_xticks(range(len(sizes)), sizes, rotation=30, ha="right", fontsize=7)
-        axis.set(yscale="log", ylabel="median time [s]", title=family)
-        axis.legend(fontsize=7, ncols=4)
-        axis.grid(alpha=0.3)
+        _draw(left, mine, "seconds", 1.0)
+        left.set(yscale="log", ylabel="median time [s]", title=family)
+        _draw(right, mine, "gap", 100.0)
+        right.set(ylabel="median gap [%]", ylim=(0, None), title=f"{family}: proven within")
     figure.savefig(output, dpi=120)
+
+
+def _draw(axis: Any, rows: list[Row], figure: str, unit: float) -> None:
+    """A line per phase of the medians of a figure over sizes."""
+    sizes = list(dict.fromkeys(row["size"] for row in rows))
+    for phase in dict.fromkeys(row["phase"] for row in rows):
+        found = [
+            [
+                unit * r[figure]
+                for r in rows
+                if (r["size"], r["phase"]) == (size, phase) and r.get(figure) is not None
+            ]
+            for size in sizes
+        ]
+        if any(found):
+            medians = [statistics.median(values or [float("nan")]) for values in found]
+            axis.plot(range(len(sizes)), medians, "o-", label=phase)
+            axis.legend(fontsize=7, ncols=4)
+    axis.set_xticks(range(len(sizes)), sizes, rotation=30, ha="right", fontsize=7)
+    axis.grid(alpha=0.3)
 
 
 def _by_case(path: Path) -> dict[tuple[str, str, int, str], Row]:
