@@ -129,7 +129,7 @@ class Codec:
             try:
                 values = zip(self._packers, self._values(record), strict=True)
                 return b"".join([pack(value) for pack, value in values])
-            except (TypeError, ValueError, struct.error):
+            except (TypeError, ValueError, OverflowError, struct.error):
                 pass  # values of other types than the fields'; protobuf takes some of them
         try:
             message = self._message(**dict(zip(self._fields, self._values(record), strict=True)))

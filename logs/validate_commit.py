@@ -67,11 +67,6 @@ class CommitCheck:
                 whole = itinerary.begun(i, walk.last)
                 self._released[i] = self._horizon if walk.to_goal else whole
 
-    @property
-    def linked(self) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
-        """(N,) bool, robots that were connected at some sample of the slot before."""
-        return self._linked
-
     def begin_slot(self) -> None:
         """The samples of the slot before are complete."""
         if not self._truth.affects_radio:

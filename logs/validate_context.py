@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from logs.findings import Checks
 from logs.mcap_format import time_ns
-from logs.records import LINKS, RunStart
+from logs.records import RunStart
 from logs.validate_inputs import Inputs
 from logs.validate_itinerary import Itinerary
 
@@ -188,6 +188,3 @@ class SlotView:
     def fraction(self, step: int, steps: int) -> Floats:
         """(n,) share of the way from `vertex` to `next_vertex` at an instant of the slot."""
         return (self.piece + self.moves * (step / steps)) / self.slots
-
-
-LINK_INDEX = {name: k for k, name in enumerate(LINKS)}

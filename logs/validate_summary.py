@@ -15,7 +15,6 @@ from logs.findings import Checks
 from logs.validate_container import Contents
 
 STEP = 1
-_FOOTER_BYTES = 20
 _INDEX = "container:index"
 
 

@@ -40,7 +40,8 @@ def field_tag(number: int, wire_type: int) -> bytes:
 Packer = Callable[[Any], bytes]
 """Packs a field with its value; nothing for the value 0, "" or False, as proto3 has it.
 
-Raises `TypeError` (or `struct.error`) for all but values of the very Python type.
+Raises `TypeError`, `struct.error` or `OverflowError` for all but values of the very Python type; a
+double may be any number.
 """
 
 
@@ -151,9 +152,11 @@ def _numbers(number: int) -> Packer:
 
 
 def _strings(number: int) -> Packer:
-    tag = field_tag(number, LEN)
+    tag, only = field_tag(number, LEN), {str}
 
     def packed(values: Sequence[str]) -> bytes:
+        if not only.issuperset(map(type, values)):
+            raise TypeError("a value is no str")
         return b"".join([block(tag, value.encode()) for value in values])
 
     return packed

@@ -65,9 +65,10 @@ class Bounding:
     def run(self) -> PgcpState | None:
         """Raises the bound by path generation; its state, None where it went group by group."""
         state = self._generate() if self.fits else None
-        if not self.fits:
-            self._by_groups()
-        return state
+        if self.fits:
+            return state
+        self._by_groups()
+        return None  # its LPs take too long for anything else, too
 
     def _generate(self) -> PgcpState:
         """Path generation for the bound, with the best plan's paths to begin with."""
@@ -103,7 +104,7 @@ class Bounding:
         self.columns = [(c.robot, c.path) for c in state.master.columns if c.path is not None]
         self.count(state)
         incumbent.lap("path_generation", since)
-        self.price(state)
+        self.price(state, least=self.fits)
         return state
 
     def _by_groups(self) -> None:
@@ -138,14 +139,14 @@ class Bounding:
         counts["iterations"] = state.iterations
         counts["lp_solves"] = state.master.lp_solves
 
-    def price(self, state: PgcpState) -> None:
-        """The prices that prove the bound of path generation."""
+    def price(self, state: PgcpState, *, least: bool = True) -> None:
+        """The prices that prove the bound of path generation; those of the least sum if asked."""
         incumbent, since = self._incumbent, time.perf_counter()
         alone = self._alone * SCALE  # proven by no penalties at all
         if alone >= state.bound:
             nothing = np.empty(0, np.int64)
             proof = nothing, nothing, alone
-        elif incumbent.out_of_time():
+        elif incumbent.out_of_time() or not least:
             proof = state.bound_rows, state.bound_penalty, state.bound
         else:
             proof = least_penalties(state, stop=incumbent.out_of_time)

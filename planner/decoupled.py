@@ -63,6 +63,7 @@ def decoupled(
     iterations: int = 3000,
     max_nodes: int = 100_000,
     time_limit: float | None = None,
+    stop: Callable[[], bool] = lambda: False,
     on_phase: OnPhase = lambda _phase, _served, _cost: None,
 ) -> Plan:
     """Plans motions first and APs after.
@@ -74,6 +75,7 @@ def decoupled(
         iterations: neighbourhoods tried to shorten the motions.
         max_nodes: of the branch and bound over AP assignments.
         time_limit: seconds; half of it at most goes into the motions.
+        stop: asked now and then; True ends the motions, and leaves a moment for the APs.
         on_phase: told how far it is.
 
     Returns:
@@ -101,7 +103,8 @@ def decoupled(
     bound = sum(alone.least_cost(i) for i in robots)
 
     def half_time() -> bool:
-        return time_limit is not None and time.perf_counter() - begin >= time_limit / 2
+        late = time_limit is not None and time.perf_counter() - begin >= time_limit / 2
+        return late or stop()
 
     motions = shortest_motions(
         problem,
@@ -114,6 +117,8 @@ def decoupled(
     middle = time.perf_counter()
     on_phase("AP assignment", sum(p is not None for p in motions.paths), motions.slots)
     left = None if time_limit is None else max(time_limit - (middle - begin), 0.01)
+    if stop():
+        left = 0.01 if left is None else min(left, 0.01)
     assignment = assign(problem, motions.paths, max_nodes=max_nodes, time_limit=left)
     paths = tuple(
         None if motion is None or aps is None else replace(motion, aps=aps)

@@ -102,10 +102,6 @@ class Fixing:
             self._excess[i] = np.where(gone, INFINITE, self._excess[i])
         return self.n_states() < before
 
-    def may_improve(self, column: Column) -> bool:
-        """Whether a column's states are all of interest."""
-        return self.keeps(self.states(column), self.excluded[column.robot])
-
     @staticmethod
     def keeps(states: NDArray[np.int64], excluded: NDArray[np.bool_]) -> bool:
         """Whether a path of these states passes none of the excluded ones."""

@@ -20,7 +20,7 @@ from planner.exact_rounding import rounded_plan
 from planner.improve import LargeNeighbourhoodSearch
 from planner.master import Column, LpSolution, Master
 from planner.plan import Path
-from planner.resources import SCALE, Resources
+from planner.resources import BLOCKED, SCALE, Resources
 from planner.search import INFINITE, Search
 
 NEGATIVE = 16
@@ -247,7 +247,7 @@ class ExactSearch:
                     return None
                 if proven:
                     return []
-                if self._raise_artificial_cost(lp):
+                if self._raise_artificial_cost():
                     self._allow(node.decisions)
                     continue
                 break
@@ -362,11 +362,16 @@ class ExactSearch:
     def _artificial(self, lp: LpSolution) -> float:
         return float(lp.x[: self.n].max(initial=0.0))
 
-    def _raise_artificial_cost(self, lp: LpSolution) -> bool:
-        """Makes artificial paths dearer; False if they are as dear as is of use."""
-        if self._start_cost > 1e9:
+    def _raise_artificial_cost(self) -> bool:
+        """Makes artificial paths dearer; False if they are as dear as may be.
+
+        A robot's dual is at most that, and must stay below what is `BLOCKED` in a search: a path
+        that is left out for its penalties must cost more than the limit it is priced with.
+        """
+        dearer = 8 * self._start_cost
+        if dearer * SCALE >= BLOCKED:
             return False
-        self._start_cost *= 8
+        self._start_cost = dearer
         for i in range(self.n):
             self.master.set_cost(i, self._start_cost)
         return True

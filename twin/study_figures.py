@@ -15,7 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from twin.study_grid import Cell, Grid
+from twin.study_grid import Grid
 from twin.study_kpi import column
 from twin.study_spec import SCENARIO
 from twin.study_summary import Estimate, Results
@@ -220,8 +220,3 @@ def title_of(drawing: Drawing) -> str:
     label = column(drawing.kpi).label
     text = f"{label} along {_axis_name(drawing.x)}"
     return text + (f", mean over {over}" if over else "")
-
-
-def cells_shown(grid: Grid, drawing: Drawing) -> list[Cell]:
-    """The cells a figure speaks of."""
-    return [cell for cell in grid.cells if cell.matches(drawing.where or {})]

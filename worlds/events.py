@@ -174,11 +174,6 @@ class Event(Part):
                 faults.append(Fault(("way_m", i + 1), rule))
         return faults
 
-    @property
-    def ends_s(self) -> float:
-        """When it is over [s], infinity when it lasts to the end of the run."""
-        return math.inf if self.to_s is None else self.to_s
-
 
 def event_name(world: World, index: int) -> str:
     """What an event is called in records and messages."""

@@ -167,6 +167,17 @@ def test_value_of_the_wrong_kind_is_refused(change, words):
     assert words in str(caught.value)
 
 
+@pytest.mark.parametrize("robots", [(7,), ("r0", None)])
+def test_texts_of_the_wrong_kind_are_refused(robots):
+    """Nor is a list of texts that holds something else written."""
+    hints = get_type_hints(RunStart)
+    empty = {float: 0.0, int: 0, str: "", bool: False}
+    good = RunStart(*(empty.get(hints[f.name], ()) for f in fields(RunStart)))
+    assert decode(message_name(RunStart), encode(good)) == good
+    with pytest.raises(LogError, match="a RunStart record cannot be written"):
+        encode(replace(good, robots=robots))
+
+
 def test_unknown_types_are_refused():
     """Neither a record type nor a message name that is not in records.py passes."""
 

@@ -182,7 +182,8 @@ def test_no_plan_below_the_target_violates_a_cut_or_loses_a_state(seed: int, at_
         members = np.zeros(len(tree.pool.cuts), int)
         for i, path in enumerate(plan):
             members[tree.pool.of(i, path) - resources.n] += 1
-            assert tree.fixing.may_improve(tree.master.column(i, path))
+            states = tree.fixing.states(tree.master.column(i, path))
+            assert tree.fixing.keeps(states, tree.fixing.excluded[i])
         capacity = np.array([cut.capacity for cut in tree.pool.cuts], int)
         assert np.all(members <= capacity)
 

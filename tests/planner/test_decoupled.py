@@ -335,3 +335,18 @@ def test_assign_takes_any_motions():
     answer = assign(p, [path_of(p, 0, "0a 1a 2b"), None])
     assert answer.aps[1] is None
     assert answer.handovers == answer.bound == 1
+
+
+def test_told_to_stop():
+    """`solve` ends it with the best answer so far, whatever the number of iterations left."""
+    p = random_hall(1, size=8, n=14, T=24, m=14)
+    asked = []
+
+    def stop():
+        asked.append(True)
+        return len(asked) > 3
+
+    plan = solve(p, SolveParams(method="decoupled", iterations=10**9), stop=stop)
+    assert check_plan(p, plan) == []
+    assert plan.status in {"feasible", "optimal", "unknown"}
+    assert len(asked) > 3

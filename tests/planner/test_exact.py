@@ -12,7 +12,7 @@ from planner.expanded_graph import ExpandedGraph
 from planner.phase_one import prove_infeasible
 from planner.plan import Path, Plan
 from planner.problem import Problem
-from planner.resources import SCALE, Resources
+from planner.resources import BLOCKED, SCALE, Resources
 from planner.search import NOTHING_FORBIDDEN, Penalties, Search
 from planner.solve import SolveParams, solve
 from tests.oracles.arcflow import solve_arcflow
@@ -185,3 +185,17 @@ def test_two_robots_in_a_dead_end_cannot_swap() -> None:
     assert found is not None
     assert found.infeasible
     assert found.upper is None
+
+
+def test_artificial_paths_cost_less_than_blocked() -> None:
+    """§1.13: a limit of pricing never reaches `BLOCKED`, above which paths are not looked at."""
+    problem = grid(3, 1, [(0, 2)])
+    search, resources = Search(ExpandedGraph.of(problem)), Resources.of(problem)
+    tree = ExactSearch(search, resources, [None])
+    raised = 0
+    while tree._raise_artificial_cost():
+        raised += 1
+    assert raised > 3
+    # There is no column but the artificial one, so the robot's dual is its cost.
+    limit = tree.master.solve().robot_dual[0] * SCALE
+    assert BLOCKED / 8 <= limit < BLOCKED

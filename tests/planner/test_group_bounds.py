@@ -5,10 +5,12 @@ from __future__ import annotations
 import pytest
 
 from planner import bounding
+from planner.bounding import Bounding
 from planner.check import check_plan
 from planner.expanded_graph import ExpandedGraph
 from planner.group_bounds import GroupBounds, group_bounds
 from planner.improve import LargeNeighbourhoodSearch
+from planner.incumbent import Incumbent
 from planner.plan import Path
 from planner.problem import Problem
 from planner.resources import SCALE, Resources
@@ -74,3 +76,20 @@ def test_fleets_that_do_not_fit(time_limit: float | None, monkeypatch: pytest.Mo
     if time_limit is None:
         again = solve(problem, params)
         assert (again.paths, again.lower_bound) == (plan.paths, plan.lower_bound)  # §1.15
+
+
+def test_an_lp_that_takes_too_long_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing more is done with the master then, not even for prices: groups prove the bound."""
+    monkeypatch.setattr(bounding, "LONG_LP_S", -1.0)
+    monkeypatch.setattr(bounding, "NEXT_LP", 1e12)
+    monkeypatch.setattr(bounding, "least_penalties", lambda *_args, **_more: pytest.fail("an LP"))
+    problem = random_hall(4, size=8, n=14, T=24)
+    search, resources = Search(ExpandedGraph.of(problem)), Resources.of(problem)
+    incumbent = Incumbent(problem, SolveParams(time_limit=1000.0), None, lambda: False)
+    work = Bounding(incumbent, search, resources, lambda: None)
+    work.robots_alone()
+    assert work.fits
+    assert work.run() is None
+    assert not work.fits
+    assert incumbent.prices is not None
+    assert incumbent.counts["groups"] < 14
