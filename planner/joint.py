@@ -23,6 +23,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -103,7 +104,11 @@ class JointBound:
     def __init__(self, pricing: Pricing, stop: Callable[[], bool] = lambda: False) -> None:
         self.pricing, self.stop = pricing, stop
         self.problem = pricing.problem
-        self._single = single_edges(self.problem)
+
+    @cached_property
+    def single(self) -> NDArray[np.bool_]:
+        """`single_edges`, when it is needed."""
+        return single_edges(self.problem)
 
     def propagate(
         self,
@@ -223,7 +228,7 @@ class JointBound:
             b.cost,
             b.before,
             b.behind,
-            self._single,
+            self.single,
             a.least + b.least + room,
             MAX_STEPS,
         )
@@ -250,11 +255,10 @@ class JointBound:
 def single_edges(problem: Problem) -> NDArray[np.bool_]:
     """(V, V) bool: one edge only joins the two vertices, so nobody can swap there (§1.3)."""
     V = problem.n_vertices
-    times = np.zeros((V, V), np.int32)
-    u, v = problem.edge_uv[:, 0], problem.edge_uv[:, 1]
-    np.add.at(times, (u, v), 1)
-    np.add.at(times, (v, u), 1)
-    single: NDArray[np.bool_] = times == 1
+    pairs, times = np.unique(np.sort(problem.edge_uv, axis=1), axis=0, return_counts=True)
+    u, v = pairs[times == 1].T
+    single = np.zeros((V, V), np.bool_)
+    single[u, v] = single[v, u] = True
     return single
 
 

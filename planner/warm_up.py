@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import cache
 from pathlib import Path
 
 from planner import kernels
@@ -34,13 +35,23 @@ HORIZON = 24
 
 
 def kernels_are_compiled() -> bool:
-    """Whether the kernels of every module were compiled on this machine before."""
-    folder = kernels.astar.stats.cache_path
+    """Whether the kernels of every module were compiled before, by this process or on this machine.
+
+    Where numba compiles nothing (`NUMBA_DISABLE_JIT`) there is nothing left to do.
+    """
+    stats = getattr(kernels.astar, "stats", None)
+    if stats is None or compile_kernels.cache_info().currsize:
+        return True
+    folder = stats.cache_path
     return folder is not None and all(any(Path(folder).glob(f"{m}.*.nbi")) for m in MODULES)
 
 
+@cache
 def compile_kernels() -> None:
-    """Plans a few robots until proven optimal; numba keeps what it compiles for later processes."""
+    """Plans a few robots until proven optimal; numba keeps what it compiles for later processes.
+
+    Once per process, so that it costs little where numba cannot keep anything.
+    """
     from planner.solve import solve
 
     cell = {

@@ -2,7 +2,7 @@
 
 At the beginning of a slot the robots on the floor fall into four kinds:
 
-- *free*: connected and whole; they get new paths, by `planner.solve` and neighbourhood search, from
+- *free*: connected and whole; they get new paths, by cooperative A* and neighbourhood search, from
   where they stand (or from the end of the edge they are on, reached in the slots it still takes);
 - *bound*: without connection, but not at the end of what was released to them, or amid a crossing
   though failed: they cannot be told otherwise, so they keep that remainder, and its vertices are
@@ -184,26 +184,29 @@ class _Replanning:
 
     def _search(self, planned: list[int]) -> tuple[dict[int, Path], list[int]]:
         """Paths of robots in the problem of this moment, and those that found none."""
+        from planner.cooperative import cooperative_with_restarts
         from planner.expanded_graph import ExpandedGraph
         from planner.improve import LargeNeighbourhoodSearch
         from planner.resources import Resources
         from planner.search import Search
-        from planner.solve import SolveParams, solve
 
         problem, edges = self._problem(planned)
-        params = SolveParams(method="cooperative", seed=self.seed, restarts=RESTARTS)
-        plan = solve(problem, params)
-        if plan.infeasible_robots or plan.unserved:
-            names = set(plan.infeasible_robots or plan.unserved)
-            return {}, [i for i in planned if self.s.problem.robot_ids[i] in names]
-        found = list(plan.paths)
+        search, resources = Search(ExpandedGraph.of(problem)), Resources.of(problem)
+        lost = [i for k, i in enumerate(planned) if not search.can_arrive(k)]
+        if lost:
+            return {}, lost
+        # Not `solve`: where robots exceed the APs' places it proves that no plan serves them all,
+        # and names all that share these places; here only those left over must stay behind.
+        rng = np.random.default_rng([self.seed, 1])
+        found = cooperative_with_restarts(search, resources, restarts=RESTARTS, rng=rng)
+        lost = [i for i, path in zip(planned, found, strict=True) if path is None]
+        if lost:
+            return {}, lost
         if self.iterations and len(planned) > 1:
-            search = Search(ExpandedGraph.of(problem))
-            better = LargeNeighbourhoodSearch(search, Resources.of(problem), found, seed=self.seed)
+            better = LargeNeighbourhoodSearch(search, resources, found, seed=self.seed)
             better.run(self.iterations)
             found = better.paths()
         paths: dict[int, Path] = {}
-        lost = []
         for i, path in zip(planned, found, strict=True):
             assert path is not None
             paths[i] = path
