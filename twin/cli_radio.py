@@ -24,8 +24,9 @@ from twin.cli_options import (
     require_world,
 )
 from twin.cli_survey import Compare, compare_survey
-from twin.cli_tables import Facts, Json, names, number, per_cent, verdict
+from twin.cli_tables import Facts, Json, number, per_cent, verdict
 from twin.errors import TwinError
+from twin.pipeline import names
 
 if TYPE_CHECKING:
     from twin.plan_places import PlanPlaces

@@ -21,8 +21,9 @@ from twin.cli_options import (
     parse_overrides,
     require_world,
 )
-from twin.cli_tables import GOOD, PLAIN, Facts, Json, names, per_cent
+from twin.cli_tables import GOOD, PLAIN, Facts, Json, per_cent
 from twin.errors import TwinError
+from twin.pipeline import names
 
 if TYPE_CHECKING:
     import numpy as np

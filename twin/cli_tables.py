@@ -14,7 +14,7 @@ from rich.table import Table
 from rich.text import Text
 
 from logs.records import CAUSES
-from twin.pipeline import count, describe_plan
+from twin.pipeline import count, describe_plan, names
 
 if TYPE_CHECKING:
     from logs.findings import Report
@@ -29,7 +29,6 @@ Row = tuple[str, str]
 
 FINDINGS_SHOWN = 20
 FINDINGS_OF_A_RUN = 5
-ROBOTS_NAMED = 12
 REPLANS_NAMED = 4
 GOOD, BAD, PLAIN = "bold green", "bold red", ""
 
@@ -43,13 +42,6 @@ def number(value: int | float, unit: str = "") -> str:
     """1234567 → `1 234 567`, with a thin gap between thousands and a unit behind."""
     text = f"{value:,}" if isinstance(value, int) else f"{value:,.1f}"
     return text.replace(",", "\u202f") + (f" {unit}" if unit else "")
-
-
-def names(ids: Iterable[str], most: int = ROBOTS_NAMED) -> str:
-    """The first few names and how many more there are."""
-    every = list(ids)
-    more = f" and {len(every) - most} more" if len(every) > most else ""
-    return ", ".join(every[:most]) + more
 
 
 # --- plain values -------------------------------------------------------------------------------

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -24,6 +24,9 @@ if TYPE_CHECKING:
     from planner.plan import Plan
     from planner.problem import Problem
     from planner.solve import SolveParams
+
+ROBOTS_NAMED = 12
+"""Robots a sentence names before it counts the others."""
 
 
 @dataclass(frozen=True)
@@ -108,10 +111,17 @@ def count(number: int, noun: str) -> str:
     return f"{number or 'no'} {noun}{'s' if number > 1 else ''}"
 
 
+def names(ids: Iterable[str], most: int = ROBOTS_NAMED) -> str:
+    """The first few names and how many more there are."""
+    every = list(ids)
+    more = f" and {len(every) - most} more" if len(every) > most else ""
+    return ", ".join(every[:most]) + more
+
+
 def describe_plan(plan: Plan) -> str:
     """What the planner answered, in words (§1.12)."""
     if plan.status == "infeasible":
-        named = f" (robots {', '.join(plan.infeasible_robots)})" if plan.infeasible_robots else ""
+        named = f" (robots {names(plan.infeasible_robots)})" if plan.infeasible_robots else ""
         return f"proven: no plan exists within the horizon{named}"
     if plan.unserved:
         without = f"{len(plan.unserved)} of {len(plan.robot_ids)} robots have no path"
